@@ -1,6 +1,6 @@
-"""The two ways a user's request ends early; the command line turns them into exit codes 2 and 3.
+"""Errors for a request that cannot be served; the command line turns them into exit codes 2 and 3.
 
-A message may quote a name from outside: `cleaned` takes out of it what a terminal would obey.
+A message may quote text from a file: `cleaned` removes the control characters that a terminal would execute.
 """
 
 import sys
@@ -22,18 +22,18 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
     Raises:
         BadInput: with the function to use under jit, vmap and grad.
     """
-    jax = sys.modules.get("jax")  # where nothing has loaded JAX, nothing is traced
+    jax = sys.modules.get("jax")  # if JAX is not loaded, nothing is traced
     if jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
         raise BadInput(f"{name} cannot be traced (jit, vmap, grad): use {instead} there")
 
 
 def cleaned(text: object) -> str:
-    """A name from outside without what a terminal or a page would obey: control and format characters become `_`."""
+    """Return a text from outside with control and format characters, which a terminal or page would obey, as `_`."""
     return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
 
 
 def by_option(words: Sequence[str]) -> list[list[str]]:
-    """Words of a command line as options, each with its values."""
+    """Return the words of a command line as options, each with its values."""
     groups: list[list[str]] = []
     for word in words:
         if word.startswith("--") or not groups:

@@ -1,4 +1,4 @@
-"""Measure how far a prediction is from a measurement; every figure names its normaliser.
+"""Measures of the error between a prediction and a measurement, each with a stated normaliser.
 
     rmse         = sqrt(mean (x_p - x_e)^2)
     e_rms  / %   = 100 rmse / (max x_e - min x_e)                                             (paper, eq. 15)
@@ -30,7 +30,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
         mask: True where a sample counts, shape (T,); None for all.
 
     Returns:
-        the error; inf where a counted prediction is not finite, nan where no sample counts.
+        the error; inf if a counted prediction is not finite, nan if no sample counts.
 
     Raises:
         IndexError: shapes that differ.
@@ -46,7 +46,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
     if not np.all(np.isfinite(error)):
         return float("inf")
     error = error - np.asarray(measured, dtype=np.float64)[counted]
-    scale = float(np.abs(error).max())  # squares of a nearly diverged prediction must not overflow
+    scale = float(np.abs(error).max())  # avoids an overflow of the squares of a nearly diverged prediction
     return scale * float(np.sqrt(np.mean((error / scale) ** 2))) if scale > 0 else 0.0
 
 
@@ -77,8 +77,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     """Compute the RMS error in percent of the measured standard deviation.
 
     Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
-        mean scores 100. nan
-    where that is zero. Arguments as for `rmse`.
+    mean scores 100. nan where that is zero. Arguments as for `rmse`.
 
     Args:
         predicted, measured, mask: as for `rmse`.
@@ -95,7 +94,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     """
     counted = _counted(predicted, measured, mask)
     values = np.asarray(measured, dtype=np.float64)[counted]
-    # the deviation of equal numbers is not always 0 in floating point, and would divide by rounding
+    # the deviation of equal numbers may be a rounding error instead of 0, which must not become the divisor
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 
 
@@ -145,7 +144,7 @@ def rmhe_percent(
     widest = 0.0
     # between the extremes: at these the loop turns, and has no width
     for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
-        # edges that cross this level; a vertical one has no single place on it
+        # edges that cross this level; a vertical one crosses it at no single place
         crossed = (low <= level) & (level <= high) & (left != right)
         at = bottom[crossed] + slope[crossed] * (level - left[crossed])
         widest = max(widest, float(np.ptp(at)) if at.size else 0.0)

@@ -1,10 +1,10 @@
-"""Spread records over devices: every device runs its own records through the same code.
+"""Distribute records over devices: every device runs its own records with the same code.
 
-    out_r = f(model, record_r)        nothing crosses between devices
+    out_r = f(model, record_r)        without communication between devices
 
-The model is copied to every device. One device is a mesh of one, several processes
-(`jax.distributed`) a mesh over all their devices, to which each brings its own records. Equal to rounding whatever the
-mesh. See benchmarks/CLUSTER.md.
+The model is copied to every device. One device is a mesh of one, several processes (`jax.distributed`) a mesh over all
+their devices, to which each brings its own records. The result is the same on every mesh, to rounding. See
+benchmarks/CLUSTER.md.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,10 +28,10 @@ _AXIS = "records"
 
 
 def records_mesh(devices: Sequence | None = None) -> Mesh:
-    """Make a mesh that is a line of devices, by default all of all processes.
+    """Return a mesh that is a line of devices, by default all of all processes.
 
     Args:
-        devices: in order; None takes all of all processes.
+        devices: in order; None takes all devices of all processes.
 
     Returns:
         a mesh with one axis, the records.
@@ -46,17 +46,17 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
 def spread(batch, mesh: Mesh):
     """Put this process's records (leading axis of every array) on its devices, padded with copies of the last one.
 
-    Every process brings equally many.
+    Every process passes the same number of records.
     """
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
     count, devices = len(leaves[0]), len(mesh.local_devices)
     if count == 0 or any(len(leaf) != count for leaf in leaves):
         raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
-    # the leading axis is cut among the devices, all others stay whole
+    # the leading axis is divided among the devices, all others stay whole
     placed = NamedSharding(mesh, PartitionSpec(_AXIS))
 
     def place(leaf):
-        # every shard must be of one size; copies, since a record of zeros need not be one a model can run
+        # every shard must have one size; copies, because a model may fail on a record of zeros
         rows = np.concatenate([leaf, np.repeat(leaf[-1:], -count % devices, axis=0)])
         return jax.make_array_from_process_local_data(placed, rows)
 
@@ -64,16 +64,16 @@ def spread(batch, mesh: Mesh):
 
 
 def local_rows(array: Array, count: int) -> np.ndarray:
-    """Collect the first `count` records of this process."""
-    # shards come in no promised order
+    """Return the first `count` records of this process."""
+    # the order of shards is not guaranteed
     shards = sorted(array.addressable_shards, key=lambda shard: shard.index[0].start or 0)
     return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
 
 
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """Run function(model, *batch) on every device's own records, side by side."""
-    # `shard_map` takes arrays alone; what is static stands in the function
+    """Run function(model, *batch) on every device's own records, in parallel."""
+    # `shard_map` takes only arrays; static values are in the function
     arrays, static = eqx.partition(model, eqx.is_array)
 
     def local(arrays, batch):
@@ -106,7 +106,7 @@ def sharded_rollout(
     start: Float[np.ndarray, "records state"],
     mesh: Mesh,
 ) -> Float[np.ndarray, "records time state"]:
-    """Roll out this process's records under their voltages (V): scaled states, as `decoder.rollout_batch`.
+    """Roll out this process's records under their voltages (V); return scaled states, as `decoder.rollout_batch`.
 
     Args:
         model: the same in every process.
@@ -133,7 +133,7 @@ def sharded_rollout(
 def sharded_inverse(
     model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
-    """Invert this process's displacements from rest (model coordinates, m) by eq. 13: drive voltages before limits (V).
+    """Invert this process's displacements from rest (model coordinates, m) by eq. 13; return voltages (V).
 
     Args:
         model: the same in every process, without effects.
@@ -151,7 +151,7 @@ def sharded_inverse(
     """
     refuse_traced("sharded_inverse", "inverse", model, displacement)
     model = model_of(model)
-    # on the host, in float64: derivatives lose digits that float32 has not
+    # on the host, in float64, because float32 has too few digits for derivatives
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
     return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -1,4 +1,4 @@
-"""Show a result: a repr of at most ten lines, a table, and HTML for a notebook."""
+"""Display of a result: a repr of at most ten lines, a table, and HTML for a notebook."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -14,8 +14,8 @@ _LINES, _ROWS, _WIDTH = 10, 25, 100
 
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
-    """Make a DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
-    import pandas as pd  # takes half a second to import: only where a table is asked for
+    """Return a DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
+    import pandas as pd  # imported here, because it takes half a second
 
     if isinstance(rows, dict):
         return pd.DataFrame(rows)
@@ -25,13 +25,13 @@ def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
 class Shown:
     """A frozen dataclass that a terminal and a notebook can show; `_rows` is its table.
 
-    `@dataclass(repr=False)` takes the repr from here: one line per field, arrays by their size and range.
+    `@dataclass(repr=False)` inherits this repr: one line per field, arrays by their size and range.
     """
 
     def _rows(self) -> Any:
-        """Collect dicts, one a row, or arrays of one length by name; by default the fields' one-dimensional arrays."""
+        """Return dicts, one a row, or arrays of one length by name; by default the fields' one-dimensional arrays."""
         arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and _is_array(v)}  # pyright: ignore[reportArgumentType]
-        longest = max(map(len, arrays.values()), default=0)  # series over time, not a handful of coefficients
+        longest = max(map(len, arrays.values()), default=0)  # series over time, not a few coefficients
         return {name: v for name, v in arrays.items() if len(v) == longest}
 
     def frame(self) -> "pd.DataFrame":
@@ -44,7 +44,7 @@ class Shown:
         return "\n".join([name, *lines[: _LINES - 1]])
 
     def _repr_html_(self) -> str:
-        """Show its repr, and the first rows of its table."""
+        """Return its repr, and the first rows of its table, as HTML."""
         table = self.frame().head(_ROWS)
         drawn = table.to_html(index=False, border=0, float_format="{:.5g}".format) if table.size else ""
         return f"<pre>{escape(repr(self))}</pre>{drawn}"
@@ -55,7 +55,7 @@ def _is_array(value) -> bool:
 
 
 def _brief(value) -> str:
-    """Describe a field in one short line."""
+    """Return a field in one short line."""
     if _is_array(value) and np.ndim(value):
         numbers = np.asarray(value, float)
         seen = numbers[np.isfinite(numbers)]

@@ -1,9 +1,9 @@
-"""Run the command line: arguments to commands, and what goes wrong to one line and an exit code.
+"""Run the command line: turn arguments into commands, and errors into one line and an exit code.
 
     0 done      2 bad input or usage      3 the computation failed      130 interrupted
 
-Results go to standard output, progress, warnings and errors to standard error. JAX is imported by the
-commands that compute, so that `pitp --help` and a mistyped option answer at once.
+Results go to standard output, progress, warnings and errors to standard error. JAX is imported by the commands that
+compute, so `pitp --help` and a mistyped option respond at once.
 """
 
 import argparse
@@ -30,12 +30,12 @@ if TYPE_CHECKING:
     from ._commands.amounts import Amount
 
 _RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
-_READING = "reading:"  # before the names of what reading is told: invert has a --rate and an --input-scale of its own
-# of names from files: control characters could move the cursor, marks of direction turn a line round
+_READING = "reading:"  # before names of reading options: invert has its own --rate and --input-scale
+# In names from files, control characters could move the cursor, and direction marks reverse a line.
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
-# Commands that keep every compiled program; the others, which have hundreds, those that take long to compile.
+# Commands that keep every compiled program; the others, which have hundreds, keep only slow compilations.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
-# what to do instead of giving an option twice
+# advice for an option given twice
 _SINGLE = {
     f"{_READING}input_column": "a recording has one input; fit a model to each input, or a column computed from both",
     f"{_READING}output_column": "a recording has one output; --each NAME=INPUT,OUTPUT runs the command once per output",
@@ -44,7 +44,7 @@ _PLANTS = ("cone100", "cone122", "cone150", "roll", "joint")
 
 
 class _Once(argparse.Action):
-    """Store the value of an option that has one value; a second one is a usage error."""
+    """An option with one value; a second value is a usage error."""
 
     given = False
 
@@ -56,7 +56,7 @@ class _Once(argparse.Action):
 
 
 class _Parser(argparse.ArgumentParser):
-    """Usage errors are bad input like any other: one line, exit code 2. An option that is not a list is given once."""
+    """A parser whose usage errors are one line with exit code 2; an option that is not a list is given once."""
 
     def __init__(self, **named):
         super().__init__(**named)
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one `pitp` command.
 
     Args:
-        argv: arguments after the program's name; None takes those of the process.
+        argv: arguments after the program's name; None takes the process's own.
 
     Returns:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
@@ -88,13 +88,13 @@ def main(argv: Sequence[str] | None = None) -> int:
             arguments["reading"] = {name.removeprefix(_READING): arguments.pop(name) for name in of_reading}
         code = 0
         with json_to_standard_output(arguments):
-            for each in once_per_joint(arguments):  # the last code that is not 0: one joint may fail, the others go on
+            for each in once_per_joint(arguments):  # the last nonzero code: after a failed joint the others continue
                 code = getattr(import_module(f"._commands.{module}", __package__), function)(**each) or code
         sys.stdout.flush()
         return code
     except SystemExit as stop:  # argparse, after --help and --version
         return int(stop.code or 0)
-    except BrokenPipeError:  # the reader of our output has had enough
+    except BrokenPipeError:  # the reader of our output has closed it
         sys.stdout = open(os.devnull, "w")  # not the pipe: the interpreter flushes it at exit
         return 0
     except KeyboardInterrupt as stop:
@@ -110,7 +110,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _joined(argv: Sequence[str]) -> list[str]:
-    """Join negative numbers to their options: argparse takes `-2e-3` for an option."""
+    """Join negative numbers to their options, because argparse takes `-2e-3` for an option."""
     words: list[str] = []
     for word in argv:
         number = re.fullmatch(r"-(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?([^\W\d].*)?", word)
@@ -122,15 +122,15 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 
 def _say_anything() -> None:
-    """Give a terminal without a letter its escape instead (Windows' code pages have no superscript minus)."""
+    """Make a terminal print escapes for letters it lacks (Windows' code pages have no superscript minus)."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: Exception) -> tuple[int, str]:
-    """Turn anything that ended a command into an exit code and one line."""
-    text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay: headers may hold several
+    """Turn any error that ended a command into an exit code and one line."""
+    text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay, because headers may hold several
     if isinstance(error, BadInput):
         return 2, text
     if isinstance(error, ComputationFailed):
@@ -163,7 +163,7 @@ def _finite(text: str) -> float | None:
         value = float(text)
     except ValueError:
         return None
-    return value if math.isfinite(value) else None  # "nan" and "inf" are numbers to Python, but no setting
+    return value if math.isfinite(value) else None  # "nan" and "inf" are numbers in Python, but not valid settings
 
 
 def _zero(text: str) -> str | float:
@@ -192,7 +192,7 @@ def _time_constant(text: str) -> float:
 
 
 def _amount(text: str) -> "Amount":
-    from ._commands.amounts import amount  # with it comes NumPy
+    from ._commands.amounts import amount  # imported here, because it loads NumPy
 
     found = amount(text)
     if found is None:

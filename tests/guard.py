@@ -2,7 +2,8 @@
 
 `files/guard/models.tar.xz` holds model files that 01c30c9 saved: every form of the catalogue alone, all of them in one
 model, found terms, memories, a lag of the electrode, an ensemble, an adapted model. Beside it, as JSON, what 01c30c9
-computed: `runs` of those files, `figures` of virtual actuators, `verdicts` of diagnoses. The archive stays as it is.
+computed: `runs` of those files, `figures` of virtual actuators, `verdicts` of diagnoses. The archive stays as it is;
+its headers were once written anew in version 2 of the format, its leaves are the bytes of 01c30c9.
 Where a change is meant to move a figure, make that figure again, and say why in the same commit:
 
     python tests/guard.py runs|figures|verdicts [NAME ...]        all figures of that file, or the named ones

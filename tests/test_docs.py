@@ -40,3 +40,14 @@ def test_the_readme_begins_with_its_two_commands():
     blocks = re.findall(r"^```sh\n(.*?)^```", (ROOT / "README.md").read_text(encoding="utf-8"), re.M | re.S)
     demo, tests = [line for block in blocks for line in block.splitlines() if line.strip()][:2]
     assert demo.endswith("pitp demo --quick") and "-m pytest" in tests
+
+
+def test_the_page_of_every_room_lists_its_files():
+    """Each file of a room stands in the reading order of its README, and nothing else does."""
+    rooms = [room for room in sorted((ROOT / "pitp_jax").glob("_*")) if (room / "__init__.py").is_file()]
+    assert len(rooms) > 20
+    for room in rooms:
+        text = (room / "README.md").read_text(encoding="utf-8")
+        listed = re.findall(r"^- `(\w+)\.py`", text, re.M)
+        assert sorted(listed) == sorted(p.stem for p in room.glob("*.py") if p.stem != "__init__"), room.name
+        assert "**In:**" in text and "**Out:**" in text and "```" in text

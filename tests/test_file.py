@@ -218,6 +218,11 @@ def test_newer_version_says_so(stored):
     assert "version 12" in refused(path, content.replace(b"model 2\n", b"model 12\n", 1))
 
 
+def test_a_file_of_version_1_is_to_be_written_again(stored):
+    path, content = stored
+    assert "write the model again" in refused(path, content.replace(b"model 2\n", b"model 1\n", 1))
+
+
 def resealed(content, change):
     """A file with a changed header or body and the right digest, as a forger would make it."""
     magic, _, rest = content.split(b"\n", 2)

@@ -279,6 +279,7 @@ def test_the_command_prints_the_gap_and_ends_with_3_where_it_does_not_shrink(tmp
     assert main([*of, "--mjcf", "robot.xml", "--before", "sim.xml", "--out", "check"]) == 0
     assert "on recordings of the diagnosis" in capsys.readouterr().out
     assert {p.name for p in (tmp_path / "check").iterdir()} >= {"log.csv", "report.html"}
+    assert (tmp_path / "check" / "figures" / "log.png").stat().st_size > 5000
     assert main([*of, "--mjcf", "sim.xml", "--before", "robot.xml"]) == 3
     assert "not better than robot.xml" in capsys.readouterr().err
 
@@ -419,3 +420,53 @@ def test_the_file_of_several_joints_holds_all_of_them_in_the_end(tmp_path):
         Path(own["out"]).mkdir()
         (Path(own["out"]) / "arm_identified.xml").write_text("<mujoco/>")
     assert seen == [(["shoulder"], "arm.xml"), (["elbow"], str(tmp_path / "a" / "arm_identified.xml"))]
+
+
+HANGING = """<mujoco><option timestep="0.0005" gravity="0 0 -9.81"/><worldbody><body pos="0.1 0 1" euler="0 {turned} 0">
+  <joint name="q" axis="0 1 0" pos="0 0 0.02" damping="0.4" armature="0.02"/>{load}
+  <inertial pos="0 0 0.02" mass="1" diaginertia="0.05 0.05 0.05"/></body></worldbody>
+  <actuator><position joint="q" kp="20" kv="0.4"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(("turned", "side"), [(0, 1), (40, 1), (0, -1)])
+def test_a_weight_on_the_arm_hangs_in_the_written_file_as_on_the_robot(tmp_path, turned, side):
+    """The robot: 0.2 kg at 0.25 m below (or above) the axis where q = 0; its inertia is known with the armature."""
+    pytest.importorskip("mujoco")
+    angle = np.deg2rad(turned)
+    x, z = -0.25 * side * np.sin(-angle), -0.25 * side * np.cos(angle)
+    ball = f'<body pos="{x} 0 {z + 0.02}"><inertial pos="0 0 0" mass="0.2" diaginertia="1e-9 1e-9 1e-9"/></body>'
+    (tmp_path / "sim.xml").write_text(HANGING.format(turned=turned, load=""))
+    (tmp_path / "robot.xml").write_text(HANGING.format(turned=turned, load=ball))
+    weight = side * 0.2 * 9.81 * 0.25
+    rows = [_row("inertia", 0.0, 0.2 * 0.25**2 / 20, 1e-6), _row("softening weight", 0.0, weight / 20, 1e-4)]
+    _, written, after = _written(tmp_path / "sim.xml", rows, "q")
+    time = np.arange(600) * 0.005
+    step = _record(np.where(time > 0.1, 0.9, 0.0), np.zeros(600))
+    (true,), (found,), (before,) = (
+        play(f, "q", [step]) for f in (tmp_path / "robot.xml", written.file, tmp_path / "sim.xml")
+    )
+    np.testing.assert_allclose(found, true, rtol=0, atol=1e-4)
+    assert np.abs(true - before).max() > 0.01 and "only the product" in str(written.lines()) and not written.left
+    assert after.armature >= 0
+
+
+def test_a_joint_that_moves_a_tendon_is_refused_with_the_others(arm):
+    pytest.importorskip("mujoco")
+    tendon = '<tendon><fixed name="belt"><joint joint="elbow" coef="1"/></fixed></tendon>\n</mujoco>'
+    arm.write_text(ARM.replace("</mujoco>", tendon))
+    with pytest.raises(pitp.BadInput, match="moves tendon belt.*joints with an actuator: shoulder"):
+        play(arm, "elbow", [])
+    assert joint_of(read_document(arm), "shoulder").name == "shoulder"
+
+
+def test_a_file_of_the_users_is_not_replaced_by_the_identified_one(arm, capsys):
+    pytest.importorskip("mujoco")
+    (arm.parent / "gap").mkdir()
+    mine = arm.parent / "gap" / "arm_identified.xml"
+    mine.write_text("<mujoco/>")
+    told = ["diagnose", "robot", "--against", "sim", "--mjcf", str(arm), "--joint", "elbow", "--out", str(mine.parent)]
+    assert main(told) == 2 and "was not written by pitp" in capsys.readouterr().err
+    again = ["--mjcf", str(arm), "--joint", "elbow", "--out", str(arm.parent)]
+    arm.rename(arm.parent / "arm_identified.xml")
+    again[1] = str(arm.parent / "arm_identified.xml")
+    assert main([*told[:4], *again]) == 2 and "would replace a file that is read" in capsys.readouterr().err

@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from typed import some
 
 from pitp_jax._report import paper_figures as plot
-from pitp_jax._report.lines import BINS, envelope, error_shown, extremes, over, thin
+from pitp_jax._report.lines import BINS, envelope, error_shown, extremes, over, some_periods, thin
 
 T = np.arange(500) / 1e3
 X = 1e-3 * np.sin(2 * np.pi * 5 * T)
@@ -162,3 +162,11 @@ def test_long_figures_are_written_and_leave_no_trace(tmp_path):
     assert (tmp_path / "long.png").stat().st_size > 1000
     assert dict(rcParams) == before
     assert ("matplotlib.pyplot" in sys.modules) == had_pyplot
+
+
+def test_a_dense_sine_is_drawn_by_twelve_periods_and_a_chirp_whole():
+    time = np.arange(20_000) * 1e-3
+    part = some_periods(3.0 + np.sin(2 * np.pi * 4.0 * time))
+    assert time[part][-1] - time[part][0] == pytest.approx(3.0, abs=0.01)  # twelve periods of 0.25 s
+    for whole in (np.sin(2 * np.pi * time), np.sin(2 * np.pi * 0.2 * time**2), np.zeros(20_000), np.full(9, np.nan)):
+        assert some_periods(whole) == slice(None)

@@ -1,6 +1,5 @@
 """Compiled programs shared by all models of one structure, blind to what they were made from; files written before."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -158,20 +157,3 @@ def test_files_written_before_load_and_predict_the_same(name, tmp_path, monkeypa
     again = pitp.load(tmp_path / "again")
     assert again.domain == model.domain and again.scales == model.scales and again.output == model.output
     assert_same_origin(again.origin, model.origin)
-
-
-def test_what_files_of_version_1_have_in_their_notes_has_fields_of_its_own():
-    """A trained model has an encoder beside its nominal: no covariance is known of that."""
-    path = FILES / "identified_508a6f1.model"
-    known = pitp.load(path).origin
-    header, _ = json.JSONDecoder().raw_decode(path.read_bytes().split(b"\n", 2)[2].decode("latin-1"))
-    told = header["notes"]["identification"]
-    (row,) = told["orders"]
-    relative = np.asarray(row["stderr"]) / np.asarray(row["coefficients"])
-    np.testing.assert_allclose(np.sqrt(np.diag(known.covariance)), relative, rtol=1e-9)
-    assert known.stderr == tuple(row["stderr"]) and known.identified_on == ("sweep",)
-    assert 1 <= known.misfit < 1e3 and known.misfit >= row["rms"] / told["noise_std"]
-    trained = pitp.load(FILES / "trained_508a6f1.model").origin
-    assert trained.covariance.size == 0 and trained.misfit == np.inf
-    assert trained.training is not None and trained.training["records"] == ["1.5 Hz", "3.0 Hz"]
-    assert trained.level == pytest.approx(np.sqrt(43.01), rel=1e-3)

@@ -1,8 +1,6 @@
 """Creep beyond the training records: the kept record, its balance's slopes, and a creep of minutes that is learned."""
 
-import hashlib
 from dataclasses import replace
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +22,6 @@ from pitp_jax._train.parameters import parameters, with_parameters
 from pitp_jax._train.settings import PRESETS, with_encoder
 from pitp_jax._train.training import _prepared, train
 
-FILES = Path(__file__).parent / "files"
 DT, OMEGA, TAU, SHARE = 0.02, 2 * np.pi, 15.0, 0.5  # s, rad/s, s; creep's share of the stiffness
 
 
@@ -110,16 +107,6 @@ def test_a_nominal_keeps_it_on_file(nominal, tmp_path):
     save(tmp_path / "m", nominal)
     stored, known = load(tmp_path / "m").origin.long_record, nominal.origin.long_record
     np.testing.assert_equal(vars(some(stored)), vars(some(known)))
-
-
-def test_a_file_without_one_is_still_read(tmp_path):
-    """As the first files were: the line is not there."""
-    magic, _, rest = (FILES / "identified_508a6f1.model").read_bytes().split(b"\n", 2)
-    first = rest.find(b'"long_record"')
-    rest = rest if first < 0 else rest[:first] + rest[rest.index(b"\n", first) + 1 :]
-    digest = hashlib.sha256(rest).hexdigest().encode()
-    (tmp_path / "old").write_bytes(magic + b"\nsha256 " + digest + b"\n" + rest)
-    assert load(tmp_path / "old").origin.long_record is None
 
 
 def cost(balance, model, vector):

@@ -1,8 +1,8 @@
-"""Adapt: a model of an actuator and a short recording of it on another day -> the same model, a few numbers moved.
+"""Adapt: updates a few parameters of a model from a short recording of the same actuator on another day.
 
-    measured = direction x(t; factors) + zero + noise,    factors on stiffness, damping, inertia, gain, electrode, creep
+    measured = direction x(t; factors) + offset + noise,  factors on stiffness, damping, inertia, gain, electrode, creep
 
-Verb: `adapt`; it says `unchanged`, `adapted` (which numbers, by how much) or `retrain`.
+Verb: `adapt`; its verdict is `unchanged`, `adapted` (which parameters, by how much) or `retrain`.
 """
 
 from .adaptation import Adaptation as Adaptation

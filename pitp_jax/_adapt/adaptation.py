@@ -1,10 +1,10 @@
-"""Adapt a model: find what a short recording of another day has moved in it, if anything.
+"""Adapt a model: find which parameters a short recording of another day has changed, if any.
 
-    session's numbers (zero, direction, first state) -> all factors by least squares -> which of them by evidence
-    -> those alone, on the first half of the recording: kept if the second half, which they never saw, says so too
+    offset, direction, initial state -> all factors by least squares -> a subset of them by evidence
+    -> those alone, on the first half of the recording: kept if the held-out second half confirms them
 
-`unchanged`: the recording is explained as well as those the model was made from, or no number earns its place.
-`retrain`: what is left stands far above that level, so something changed that no factor on a part can say.
+`unchanged`: the model explains the recording as well as its training records, or no factor improves the fit
+significantly. `retrain`: the residual is far above that level, so something changed that no factor describes.
 """
 
 from collections.abc import Sequence
@@ -28,20 +28,20 @@ from .factors import TILTS, TIMES, Factors, adapted, factors_of
 from .free_runs import Fit, Problem, Session, session
 
 Verdict = Literal["unchanged", "adapted", "retrain"]
-_KEPT = 0.95  # fraction of its error that the held-out half may keep where a change is real
-_FAR = 3.0  # levels of the model's own, from where on what remains is another actuator's
-_SURE = 0.25  # fraction of its level below which a model's own error is not known
-_UNKNOWN = 1.0  # % of range, the level of a model that does not say what it left
-_MOVES = 0.2  # spread of a half over that of the whole below which it proves nothing
+_KEPT = 0.95  # largest fraction of its error on the held-out half after a real change
+_FAR = 3.0  # times the model's own error level; a larger remaining error means another actuator
+_SURE = 0.25  # fraction of its level below which a model's own error is unknown
+_UNKNOWN = 1.0  # % of range, the level of a model without a stated error
+_MOVES = 0.2  # spread of a half relative to the whole below which it proves nothing
 
 
 @dataclass(frozen=True)
 class Changed:
-    """One number that moved.
+    """One changed parameter.
 
     Attributes:
         factor, ci95: new over old, and the ends of its 95 % interval; nan where the model's own was practically zero.
-        seconds, seconds_ci95: of a time: what it is now.
+        seconds, seconds_ci95: of a time: its present value and 95 % interval, s.
     """
 
     factor: float
@@ -57,16 +57,16 @@ class Changed:
 
 @dataclass(frozen=True, repr=False)
 class Adaptation(Shown):
-    """What a recording says of a model.
+    """The result of `adapt`: verdict, changed parameters and model.
 
     Attributes:
-        model: the one given if unchanged, else with these numbers moved.
+        model: the given one if unchanged, otherwise with the changed parameters.
         verdict: "unchanged", "adapted" or "retrain".
-        changed: the numbers that moved, by name.
+        changed: the changed parameters, by name.
         before, after: e_rms in % of range of the model given and of the one returned.
         heldout: whether those are of the part of the recording that was not used for the fit.
-        level: what the model left of its own records, with this sensor's noise, in % of range.
-        advice: what to record where it has to be trained anew; else empty.
+        level: error on the model's own records, with this sensor's noise, in % of range.
+        advice: recordings to make if the model must be trained again; otherwise empty.
     """
 
     model: Fitted
@@ -82,14 +82,14 @@ class Adaptation(Shown):
         return [{"name": name, **vars(c), "significant": c.is_significant} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
-        """Write it as `pitp adapt --json` has it."""
+        """Return the dict of `pitp adapt --json`."""
         rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
         values = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
         return {**values, "heldout": self.heldout}
 
 
 def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptation:
-    """Test whether a model still holds for what was recorded, and find which of its numbers moved.
+    """Test whether a model still holds for a recording, and find which of its parameters changed.
 
     Args:
         model: identified or trained, with any effects.
@@ -99,7 +99,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
         BadInput: no record, none that moves, several sampling rates, or a model that diverges on one.
 
     Returns:
-        the verdict, what changed by how much, and the model (a `Fitted`) to go on with.
+        the verdict, the changed parameters, and the model (a `Fitted`) to use from now on.
 
     Examples:
         >>> pitp.adapt(model, records[0]).verdict
@@ -114,14 +114,14 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     seen = session(here, records, *begin(here, records), noise)
     middle = float(seen.target[seen.weight > 0].mean())
     factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
-    # the sensor of the day may be another one: its noise is no change of the actuator
+    # the day's sensor may be another one: its noise is not a change of the actuator
     level = float(np.hypot(np.nan_to_num(fitted.origin.level, nan=_UNKNOWN), np.sqrt(np.mean(seen.noise**2))))
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
     own = level if np.isinf(fitted.origin.misfit) else level * np.sqrt(1 - 1 / fitted.origin.misfit**2)
     spread = covariance(full.residual, full.jacobian, _model_error(full, seen, own))
-    known = fitted.origin.covariance  # of the logarithms of the coefficients, which stand first
+    known = fitted.origin.covariance  # of the logarithms of the coefficients, which come first
     spread[: len(known), : len(known)] += known
     names = select(full.z, spread, factors)
     if not names:
@@ -130,7 +130,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     first = combined(moves, full.z, spread)
     best = problem.fit(moves, whole, prior, first=first)
     halves = [seen.half, 1 - seen.half]
-    heldout = all(_moves(seen, h) for h in halves)  # a half that stands still would be explained by any model
+    heldout = all(_moves(seen, h) for h in halves)  # any model would explain a half that stands still
     if heldout:
         tried = problem.fit(moves, halves[0], prior, first=first)
         before, after = (e_rms(problem.at(z, halves[1]), halves[1], seen) for z in (given.z, tried.z))
@@ -142,7 +142,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
 
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
-    """Keep a change where it lowers the error; far above the model's own level neither model holds."""
+    """Accept a change if it lowers the error; advise retraining if the error stays far above the model's own level."""
     verdict: Verdict = "unchanged"
     remaining = before
     if new is not None and after is not None and after < _KEPT * before:
@@ -161,14 +161,14 @@ _ADVICE = (
 
 
 def _model_error(fit: Fit, seen: Session, own: float) -> float:
-    """Compute what a fit leaves beside noise, % of range; a fraction of what the model left of its records at least."""
+    """Return the model's error in a fit without noise, % of range; at least a fraction of its own level."""
     square = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
-    # a short record may be met by chance: its numbers are then no surer than the model was
+    # a short record may be fitted by chance: its parameters are not more certain than the model was
     return max(square, (_SURE * own) ** 2) ** 0.5
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:
-    """Tell whether a half of every recording moves enough to fit on it, and to test on it."""
+    """Return whether the chosen half of every recording moves at least a fifth as much as the whole recording."""
     counts = seen.weight > 0
     spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
                for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip
@@ -176,14 +176,14 @@ def _moves(seen: Session, half: np.ndarray) -> bool:
 
 
 def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
-    """Describe the named numbers, with intervals in which the others may be anything.
+    """Return the named parameters with intervals that allow any value of the others.
 
-    A number that was not claimed to have moved is not known to be 1.
+    A parameter without a reported change is not known to be 1.
     """
     q, rows = np.linalg.lstsq(moves, fit.z, rcond=None)[0], {}
     inverse = np.linalg.pinv(moves)
     for k, name in enumerate(names):
-        if name in TILTS:  # what is named is the mean over the stroke
+        if name in TILTS:  # the named value is the mean over the stroke
             continue
         wide = 1.96 * float(np.sqrt(inverse[k] @ spread @ inverse[k]))
         low, at, high = (factors.factor(name, q[k] + by) for by in (-wide, 0.0, wide))
@@ -196,10 +196,10 @@ def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Chan
 
 
 def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Fitted:
-    """Build the adapted model; what was done to it joins its origin."""
+    """Build the adapted model; the adaptation is added to its origin."""
     model = adapted(fitted.model, factors, z, records[0].dt)
     if model.order >= 3:
-        # under an encoder the sections are the units of its logits, and stay those it was trained in
+        # with an encoder the sections are the units of its logits, and keep their trained values
         sections = sections_of(model.physical_coefficients)
         if isinstance(plain(model.encoder), ConstantEncoder) and len(sections) == model.order:
             model = replace(model, scales=replace(model.scales, sections=sections))
@@ -217,6 +217,6 @@ def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Rec
 
 
 def e_rms(fit: Fit, weight: np.ndarray, seen: Session) -> float:
-    """Compute e_rms in % of range: records are averaged in squares, each counts alike."""
+    """Compute e_rms in % of range; squares are averaged over records with equal weight."""
     counts = (seen.weight > 0) * weight
     return float(np.sqrt(np.mean((fit.residual**2 * counts).sum(1) / np.maximum(counts.sum(1), 1))))

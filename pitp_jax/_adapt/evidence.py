@@ -1,11 +1,11 @@
-"""Decide which numbers moved by the evidence of every subset, where what a fit leaves is no white noise.
+"""Decide which parameters changed by the evidence of every subset, with coloured residuals.
 
     z_hat ~ N(A q, C),   q ~ N(0, P):    ln p(z_hat, subset) = ln N(z_hat; 0, C + A P A') + ln p(subset)
     C = H^-1 M H^-1 + s^2 / N (J'J / T)^-1,      M = sum_f |e_f|^2 J_f* J_f' / T^2,   H = J'J
 
-M is the covariance of J'e for an error of e's own spectrum: noise averages out over the samples, a model's error comes
-again in every period and rests on few lines. The part of that error which the fit has absorbed is in no residual: it is
-taken to be as large as what is left, s (noise subtracted), with N independent values.
+M is the covariance of J'e for an error with the spectrum of e. Noise averages out over the samples; a model's error
+repeats in every period and lies at few frequencies. The residual does not contain the part of that error which the fit
+absorbed. That part is taken to be as large as the residual, s (noise subtracted), with N independent values.
 """
 
 from collections.abc import Iterator
@@ -16,15 +16,15 @@ from jaxtyping import Float
 
 from .factors import TILTS, Factors
 
-_CHANGED, _ALONG = 0.1, 0.3  # probabilities: of any change; that a number is part of it
-_EACH = 4.0  # what a number must lower z' C^-1 z by, once there is a change: two standard deviations
-_ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at or below its dimension
+_CHANGED, _ALONG = 0.1, 0.3  # probabilities: of any change; that a parameter is part of it
+_EACH = 4.0  # decrease of z' C^-1 z required per parameter, once there is a change: two standard deviations
+_ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at most its dimension
 
 
 def covariance(
     residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], model_error: float
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """Estimate C of a least-squares estimate from its residuals, their slopes, and the model's error beside noise."""
+    """Return C of a least-squares estimate from its residuals, their derivatives, and the noise-free model error."""
     count = jacobian.shape[1]
     slopes = np.fft.rfft(jacobian.reshape(*residual.shape, -1), axis=1)
     power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
@@ -32,18 +32,19 @@ def covariance(
     score = (slopes * np.sqrt(power)[..., None]).reshape(-1, count)
     meat = 2 * (score.conj().T @ score).real / residual.shape[1] ** 2
     weight = (np.abs(slopes) ** 2).sum(-1) * power
-    lines = weight.sum() ** 2 / max((weight**2).sum(), 1e-300)  # effective number of frequencies that M rests on
+    lines = weight.sum() ** 2 / max((weight**2).sum(), 1e-300)  # effective number of frequencies in M
     inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
     samples = np.count_nonzero(residual)
-    # lines / (lines - count): the fit has taken `count` of them out of the residual, as degrees of freedom
+    # lines / (lines - count): the fit has removed `count` of them from the residual, as degrees of freedom
     noise = inverse @ meat @ inverse * lines / max(lines - count, 1.0)
     return noise + model_error**2 / _ALIGNED * samples * inverse
 
 
 def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
-    """Yield every set of named numbers; gain stands for all coefficients, so beside none.
+    """Yield every set of named parameters; gain represents all coefficients, so it excludes single ones.
 
-    The tilts have no names: they come with every coefficient, which is then seldom changed alike over the stroke.
+    The slopes over the stroke are in every subset with a coefficient, because it rarely changes equally over the
+    stroke.
     """
     tokens, tilts = factors.names[: factors.tokens], tuple(n for n in factors.names if n in TILTS)
     others = tuple(n for n in factors.names[factors.tokens :] if n not in TILTS)
@@ -55,20 +56,20 @@ def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
 
 
 def directions(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """Build A: what named numbers move, shape (numbers, names)."""
+    """Return A, which maps changes of named parameters to all coordinates, shape (numbers, names)."""
     return np.stack([factors.direction(n) for n in names], 1) if names else np.zeros((len(factors.names), 0))
 
 
 def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """List standard deviations of named numbers; the gain's is a coefficient's."""
+    """Return the standard deviations of named parameters; the gain has that of a coefficient."""
     return np.array([factors.prior[0 if n == "gain" else factors.names.index(n)] for n in names])
 
 
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
-    """Choose no number where no change has the most evidence; else the subset of least z' C^-1 z + 4 size beside it.
+    """Choose the changed parameters: none without evidence of a change, otherwise the least z' C^-1 z + 4 size.
 
-    Whether anything moved is decided by evidence, with its priors; which numbers moved by the estimate alone, and each
-    must be worth two standard deviations.
+    The evidence, with its priors, decides whether anything changed. The estimate alone decides which parameters
+    changed; each must differ by two standard deviations.
     """
     count = sum(name not in TILTS for name in factors.names)
     # so that all subsets but the empty one have the probability `_CHANGED` together
@@ -77,7 +78,7 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
     def evidence(names):
         a = directions(factors, names)
         total = spread + (a * prior_of(factors, names) ** 2) @ a.T
-        root = np.sqrt(np.diag(total))  # unit diagonal: times and logarithms differ by orders of magnitude
+        root = np.sqrt(np.diag(total))  # unit diagonal, because times and logarithms differ by orders of magnitude
         whole = total / np.outer(root, root)
         fit = (z / root) @ np.linalg.solve(whole, z / root)
         size = sum(name not in TILTS for name in names)
@@ -94,6 +95,6 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
 
 
 def combined(moves: np.ndarray, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Combine an estimate of all numbers into the named ones nearest to it: (A' C^-1 A)^-1 A' C^-1 z."""
+    """Return the named parameters nearest to an estimate of all coordinates: (A' C^-1 A)^-1 A' C^-1 z."""
     weighed = np.linalg.solve(spread, moves)
     return np.linalg.solve(moves.T @ weighed, weighed.T @ z)

@@ -1,12 +1,12 @@
-"""Move a model by factors: the few numbers by which one actuator differs from itself on another day.
+"""Change a model by factors: the few parameters by which one actuator differs from itself on another day.
 
     stiffness on sigma_0 and the restoring sigma_off,   damping on sigma_1,   inertia on sigma_2,   a3, ... on the rest
-    creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus what they became longer
+    creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus their increase
 
-z holds logarithms of the factors, then the lengthened times in units of 0.1 / omega_0 (a lag that was not there has no
-factor), then of a trained encoder the two tilts over its stroke, which have no names: what is named is the mean. All
-are relative to the force of the drive, which nothing here weighs; so `gain` is no coordinate but the one direction
-(-1, ..., -1, 0, 0, 0) in which all coefficients move alike.
+z holds the logarithms of the factors, then the increases of the times in units of 0.1 / omega_0 (a lag that did not
+exist has no factor). For a trained encoder two slopes over its stroke follow; only the mean is reported. All factors
+are relative to the force of the input, which is unknown; so `gain` is no coordinate of its own but the direction (-1,
+..., -1, 0, 0, 0) in which all coefficients change alike.
 """
 
 from dataclasses import replace
@@ -22,22 +22,22 @@ from .._model.encoder import AdaptedEncoder, ConstantEncoder, plain
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 
-_UNIT = 0.1  # of a lengthened time, in 1 / omega_0
-_SHORTEST = 1e-3  # of a lag, in samples: as good as none
+_UNIT = 0.1  # of an increase of a time, in 1 / omega_0
+_SHORTEST = 1e-3  # of a lag, in samples: counts as none
 _COEFFICIENT, _OTHER = 0.3, 0.5  # prior standard deviations of logarithms: coefficients, creep
 _TILT = 0.05  # of the two tilts of a trained encoder, per scale of x
-_TIME = 2.0  # and of lengthened times, in units
+_TIME = 2.0  # and of increases of times, in units
 _FIRST = ("stiffness", "damping", "inertia")
 TIMES = ("electrode_tau", "delay")
 TILTS = ("gain over the stroke", "stiffness over the stroke")
 
 
 class Factors(NamedTuple):
-    """What z means for one model.
+    """The coordinates z of one model.
 
     Attributes:
         names: of the coordinates; `tokens` of them are of coefficients, first.
-        prior: standard deviation of each before a recording was seen.
+        prior: standard deviation of each before any recording.
         outlasted: 1 for every lag among the memories that the recording outlasts.
         reach: scaled displacement: lowest trained on, mean of the recording, highest trained on.
         unit: of the lengthened times, s.
@@ -54,22 +54,22 @@ class Factors(NamedTuple):
     delay: float
 
     def direction(self, name: str) -> np.ndarray:
-        """Build the vector that one named number moves along."""
+        """Return the direction of one named parameter, shape (numbers,)."""
         if name == "gain":
             return np.where(np.arange(len(self.names)) < self.tokens, -1.0, 0.0)
         return np.eye(len(self.names))[self.names.index(name)]
 
     def lowest(self) -> np.ndarray:
-        """List where a time is zero; no bound on logarithms."""
+        """Return the values at which a time is zero; logarithms have no bound."""
         times = {"electrode_tau": -self.tau / self.unit, "delay": -self.delay / self.unit}
         return np.array([times.get(n, -np.inf) for n in self.names])
 
     def own(self, name: str) -> float:
-        """Look up the model's own time of that name, s."""
+        """Return the model's own value of that time constant, s."""
         return float(self.tau if name == "electrode_tau" else self.delay)
 
     def factor(self, name: str, q: float) -> float:
-        """Compute the factor of a named number moved by q; nan where the model's own was practically zero."""
+        """Return the factor of a named parameter changed by q; nan if the model's own was practically zero."""
         if name not in TIMES:
             return float(np.exp(q))
         own = self.own(name)
@@ -77,16 +77,16 @@ class Factors(NamedTuple):
 
 
 def factors_of(model: Model, seconds: float, middle: float) -> Factors:
-    """Choose the numbers that a recording of so many seconds about this scaled displacement may move in a model."""
+    """Return the parameters that a recording of this duration (s) about this scaled displacement may change."""
     n = model.order
     names = [*_FIRST[: n + 1], *(f"a{i}" for i in range(3, n + 1))]
     prior = [_COEFFICIENT] * (n + 1)
-    # a lag that has not settled twice over looks like a stiffness: it is left as it was
+    # a lag that has not settled twice looks like a stiffness, so it is left unchanged
     outlasted = np.asarray(jnp.exp(_lags(model)) < seconds / 2, np.float64)
     if outlasted.any() or any(e.name == "creep" and float(e.tau) < seconds / 2 for e in model.effects):
         names, prior = [*names, "creep"], [*prior, _OTHER]
     tau = 0.0
-    if model.input_map.one_sided:  # a lag before a linear input is one of the force, and orders tell those
+    if model.input_map.one_sided:  # a lag before a linear input is one of the force, which is part of the order
         names, prior = [*names, "electrode_tau"], [*prior, _TIME]
         tau = next((float(e.tau) for e in model.effects if e.name == "electrode_rc"), 0.0)
         tau = float(jnp.exp(model.drive.log_tau)) if isinstance(model.drive, ElectrodeLag) else tau
@@ -96,14 +96,14 @@ def factors_of(model: Model, seconds: float, middle: float) -> Factors:
     if not isinstance(plain(model.encoder), ConstantEncoder):
         names, prior = [*names, *TILTS], [*prior, _TILT, _TILT]
     unit = _UNIT / model.natural_frequency
-    own = (np.float64(v) for v in (unit, tau, delay))  # of NumPy: arguments of programs, no parts of them
+    own = (np.float64(v) for v in (unit, tau, delay))  # NumPy scalars are arguments of programs, not parts of them
     low, high = model.domain.region[0] if len(model.domain.region) else (middle - 1.0, middle + 1.0)
     reach = np.array((low, middle, high))
     return Factors(tuple(names), n + 1, np.array(prior), outlasted, reach, *own)
 
 
 def _lags(model: Model) -> Array:
-    """List the logarithms of the time constants of memories that are lags of x, where an encoder sees them."""
+    """Return the logarithms of the time constants of lags of x among the memories that an encoder sees."""
     memory = model.memory
     if isinstance(plain(model.encoder), ConstantEncoder) or not isinstance(memory, FadingMemory | RingingMemory):
         return jnp.zeros((0,))
@@ -111,7 +111,7 @@ def _lags(model: Model) -> Array:
 
 
 def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers *rows"], dt: float) -> Model:
-    """Move these numbers in the model; with rows of z, coefficients and factors of the encoder have rows too.
+    """Return the model with these parameters changed; with rows of z, coefficients and encoder factors have rows too.
 
     `dt`: sampling interval of the records, s.
     """
@@ -137,7 +137,7 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
 
 
 def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
-    """Wrap the plain encoder once: what was adapted before is adapted on, not wrapped again."""
+    """Wrap the encoder for adaptation; an adapted encoder is adapted further, not wrapped again."""
     outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
     offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
     own, reach = model.encoder, factors.reach
@@ -148,7 +148,7 @@ def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array)
 
 
 def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
-    """Lengthen the electrode's lag where the model has it: in its drive, or in an effect."""
+    """Return the model with a longer electrode lag, in its drive or in an effect."""
     tau = factors.tau + factors.unit * z
     if isinstance(model.drive, DirectDrive) and any(e.name == "electrode_rc" for e in model.effects):
         place = next(k for k, e in enumerate(model.effects) if e.name == "electrode_rc")
@@ -159,7 +159,7 @@ def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
 
 
 def adapted(model: Model, factors: Factors, z: np.ndarray, dt: float) -> Model:
-    """Move these numbers in the model as it is kept: parts that did not move are the old ones."""
+    """Return the model to store with these parameters changed; unchanged parts are the old ones."""
     by = dict(zip(factors.names, z, strict=True))
     new = moved(model, factors, z, dt)
     if not by.get("electrode_tau"):

@@ -1,10 +1,10 @@
-"""Fit free runs of a model to recordings, under many sets of its factors at once.
+"""Fit free runs of a model to recordings, with many sets of its factors at once.
 
-    e = 100 (d (y - zero) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
+    e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
 
-One batch holds every record under z and under z with each number moved a little: rows of one scan, which share the
-encoder's weights. A record that begins held starts from the equilibrium of its own factors; one in motion has its first
-state among the numbers.
+One batch holds every record under z and under z with each parameter changed a little: rows of one scan, which share the
+encoder's weights. A record that starts settled starts from the equilibrium of its own factors; one that starts in
+motion has its initial state among the parameters.
 """
 
 from collections.abc import Sequence
@@ -28,27 +28,27 @@ from .._simulate.decoder import at_rest, rollout
 from .._simulate.prediction import FAR
 from .factors import Factors, moved
 
-# of forward differences: logarithms; times, and first states in scales: a run in float32 rounds at 1e-6 of its range
+# of forward differences: logarithms; times, and first states in scales: float32 rounds a run at 1e-6 of its range
 _STEP, _LATER = 3e-3, 0.02
 _MOST_STEPS, _ENOUGH = 10, 1e-3  # of a fit, and the relative decrease below which it ends
-_RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias that a fit may start from
+_RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias at which a fit may start
 _BLOCKS = 8
 _LOOSE = 0.3  # prior of a first state's shift, in scales of the state
-_INDEPENDENT = 100.0  # values a recording counts as, beside the priors
-_ZERO = 0.2  # prior of a zero that the beginning does not show, in ranges
+_INDEPENDENT = 100.0  # values a recording counts as, relative to the priors
+_ZERO = 0.2  # prior of an offset that the first samples do not show, in ranges
 
 
 class Session(NamedTuple):
-    """Recordings as the fit sees them, padded to one length.
+    """Recordings prepared for the fit, padded to one length.
 
     Attributes:
         voltage: V, shape (records, T).
-        target: scaled displacement, its beginning's zero and direction taken out; 0 where it does not count.
-        weight: 100 / (scaled range) where a sample counts, else 0.
-        half: 1 in every other eighth of every record, so that both halves have slow and fast, small and large.
-        start: scaled states as the beginnings have them.
-        begins: how each begins.
-        loose: standard deviation of each zero, in % of range.
+        target: scaled displacement, offset and direction removed; 0 where it does not count.
+        weight: 100 / (scaled range) where a sample counts, otherwise 0.
+        half: 1 in every other eighth of every record, so both halves contain all speeds and amplitudes.
+        start: scaled initial states.
+        begins: how each record starts.
+        loose: standard deviation of each offset, in % of range.
         noise: white sensor noise of each, in % of range.
         dt: s.
     """
@@ -91,13 +91,13 @@ def runs(
     model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
     voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
 ) -> Float[Array, "rows time"]:  # fmt: skip
-    """Run every row under its own numbers: scaled readings; `held`: 1 where its start is the equilibrium of u(0)."""
+    """Run every row with its own parameters; return scaled readings. `held`: 1 if it starts settled at u(0)."""
     if held is not None:
 
         def settled(z, u):
             return held_states(moved(model, factors, z, dt), u[None], dt, jnp.zeros(1, z.dtype))[0]
 
-        # a softer actuator is held further out: with the old equilibrium its run would begin with a transient
+        # a softer actuator is held further out: from the old equilibrium its run would start with a transient
         equilibrium = jax.vmap(settled)(z, voltage[:, 0])
         start = jnp.where((held > 0)[:, None] & jnp.isfinite(equilibrium), equilibrium, start)
     if not in_rows(model):
@@ -114,12 +114,12 @@ def runs(
 
 
 class Fit(NamedTuple):
-    """Where a fit ended.
+    """The result of a fit.
 
     Attributes:
-        z: the numbers.
+        z: the fitted parameters.
         residual: e in % of range, shape (records, T), zero where it does not count.
-        jacobian: its slopes by the numbers, those of the other numbers projected out, shape (records T, numbers).
+        jacobian: derivatives by the parameters, with the nuisance parameters projected out, shape (records T, numbers).
     """
 
     z: np.ndarray
@@ -136,9 +136,9 @@ class Problem:
         self.shifts = seen.start.shape[1] if self.moving else 0
 
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Run rows of (numbers, shift of the first state): scaled readings, shape (rows, records, T)."""
+        """Run rows of (parameters, shift of the first state); return scaled readings, shape (rows, records, T)."""
         s, records, wanted = self.seen, len(self.seen.voltage), len(z)
-        rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always: one program for every fit
+        rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always as many: one program for every fit
         z, shift = (np.concatenate([a, np.repeat(a[:1], rows - wanted, 0)]) for a in (z, shift))
         start = np.tile(s.start, (rows, 1)).reshape(rows, records, -1)
         start[:, self.moving] += shift.reshape(rows, len(self.moving), -1) if self.moving else 0.0
@@ -152,13 +152,13 @@ class Problem:
         return np.asarray(y, np.float64).reshape(rows, records, -1)[:wanted]
 
     def at(self, z: np.ndarray, weight: np.ndarray) -> Fit:
-        """Fit the nuisance numbers alone (zeros, first states), at these numbers."""
+        """Fit only the nuisance parameters (offsets, first states), with these parameters fixed."""
         return self.fit(np.zeros((len(z), 0)), weight, np.zeros(0), fixed=z)
 
     def guess(self) -> np.ndarray:
-        """Choose where least squares starts: the best of a row of inertias (else stiffnesses), each at its best gain.
+        """Return the start of least squares: the best of several inertias (or stiffnesses), each at its best gain.
 
-        A resonance that has moved by more than its width turns the phase over: no way down leads past that.
+        A resonance shifted by more than its width reverses the phase, and the cost has no descending path past that.
         """
         s, names = self.seen, self.factors.names
         axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
@@ -167,7 +167,7 @@ class Problem:
         for first in range(0, len(tried), rows):
             z = tried[first : first + rows, None] * axis
             y = self.readings(z, np.tile(np.zeros(len(self.moving) * self.shifts), (len(z), 1)))
-            # a run that was lost counts as far off, so that it is never chosen
+            # a diverged run gets a large error, so that it is never chosen
             for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
                 want = s.weight * s.target
                 ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
@@ -178,10 +178,10 @@ class Problem:
         self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
         first: np.ndarray | None = None, fixed: np.ndarray | float = 0.0,
     ) -> Fit:  # fmt: skip
-        """Fit the numbers z = fixed + free q by least squares, nuisance numbers beside them.
+        """Fit the parameters z = fixed + free q by least squares, together with nuisance parameters.
 
         Args:
-            free: directions that may move, shape (numbers, q).
+            free: directions that may change, shape (numbers, q).
             weight: of the samples, shape (records, T): 0 or 1.
             prior: standard deviations of q.
             first: q to start from; default 0.
@@ -207,7 +207,7 @@ class Problem:
             if not np.isfinite(y).all() or np.abs(y).max() > FAR:
                 return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
             e = scale * (y[0] - target) + zeros @ p[count + shifts :]
-            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)  # a zero adds itself, exactly
+            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)  # an offset adds itself, exactly
             cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
             tried.append((cost, base, e, jacobian))
             gradient = unit**2 * jacobian.T @ e + p / spread**2
@@ -221,6 +221,6 @@ class Problem:
             raise BadInput("the model diverges on this recording; check units and columns with `pitp predict`")
         _, z, e, jacobian = min(tried, key=lambda t: t[0])
         inner, other = jacobian[:, :count], jacobian[:, count:]
-        # what zeros and first states could take over says nothing about the numbers
+        # a part that offsets and first states could explain carries no information on the parameters
         taken = np.linalg.lstsq(other.T @ other, other.T @ inner, rcond=1e-9)[0]
         return Fit(z, e.reshape(records, -1), inner - other @ taken)

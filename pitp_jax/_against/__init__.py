@@ -1,4 +1,4 @@
-"""A robot beside its simulator: two sets of records in; what the simulator lacks, as numbers to type into it, out.
+"""Diagnosis of a robot against its simulator: finds the parameters that the simulator lacks, from two sets of records.
 
     SIM -> identify -> diagnose on SIM -> nominal with the simulator's own effects -> diagnose on the robot's records
 

@@ -1,10 +1,10 @@
-"""The signal that, added to the simulator's input, gives the robot's output: one per recording.
+"""Compute the signal that, added to the simulator's input, gives the robot's output: one per recording.
 
     f_{k+1} = f_k + G+ (y - y_sim(F + f_k)),    G+ = conj(G) / (|G|^2 + eps |G(0)|^2),    G(s) = e^{-s T} / sum a_i s^i
 
 Iterative learning on whole recordings: G is the linear part of the simulator's model, y_sim its free run with all its
-effects. `eps` bounds the noise that passes: above the frequency where |G| is a tenth of its static value hardly
-anything is corrected.
+effects. `eps` bounds the noise that passes: almost nothing is corrected above the frequency where |G| is a tenth of its
+static value.
 """
 
 from collections.abc import Sequence
@@ -22,7 +22,7 @@ _EPSILON = 0.01
 
 
 def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.ndarray]:
-    """Added input of every recording, in the input's base unit, shape (T,).
+    """Return the added input of every recording, in the input's base unit, shape (T,).
 
     Args:
         nominal: the simulator's model.
@@ -39,20 +39,20 @@ def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.n
 
 
 def _input(model: Model | Fitted, voltage: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """The input whose force is that of `voltage` and `force` more; a squared drive cannot push."""
+    """Return the input whose force is that of `voltage` plus `force`; a squared input has no negative force."""
     if model.input_map.name == "linear":
         return voltage + force
     return np.where(voltage < 0, -1.0, 1.0) * np.sqrt(np.maximum(voltage**2 + force, 0.0))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    """Missing samples between their neighbours; 0 where there are none at all."""
+    """Return the values with missing samples interpolated; 0 if all are missing."""
     seen, at = np.isfinite(values), np.arange(len(values))
     return np.interp(at, at[seen], values[seen]) if seen.any() else np.zeros(len(values))
 
 
 def _regularised_inverse(model: Model | Fitted, error: np.ndarray, dt: float) -> np.ndarray:
-    """G+ on a signal that is continued evenly, so that its ends meet."""
+    """Return G+ applied to a signal that is mirrored, so that its ends meet."""
     a = model.physical_coefficients
     mirrored = np.concatenate([error, error[::-1]])
     s = 2j * np.pi * np.fft.rfftfreq(len(mirrored), dt)

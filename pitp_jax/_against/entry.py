@@ -23,7 +23,7 @@ from .correction import corrections
 from .parameters import parameters
 from .result import SimToReal
 
-_PART = 0.1  # of the gap's rms, below which the model of the simulator is not at fault: 1 % of the energy
+_PART = 0.1  # of the gap's rms, below which the simulator's model is not the cause: 1 % of the energy
 
 
 @overload
@@ -44,21 +44,21 @@ def diagnose(
     model, records=None, *, against=None, position_gain=None, refit_nominal=None, exclude=(), seconds=np.inf,
     progress=lambda line: None, mesh=None,
 ):  # fmt: skip
-    """Find what is missing between a model, or a simulator, and real recordings.
+    """Find the effects that a model, or a simulator, lacks compared with real recordings.
 
     `diagnose(model, records)`: the unmodelled effect behind the gap of a nominal model. `diagnose(records,
-    against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; what is
-    missing is then told as the simulator's number, the robot's and the difference.
+    against=simulated)`: the same with a simulator in the place of the model, known by its recordings alone; a missing
+    effect is then reported as the simulator's value, the robot's and the difference.
 
     Args:
         model: an identified linear model or a trained one (`Fitted` or `Model`); with `against` the real recordings.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         against: recordings of a simulator, paired by their commands; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
-        refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-            None: where the nominal was made from the very recordings given.
-        exclude: names left out of the catalogue.
-        seconds: of computing; then the best so far is handed back, and `notes` lists what was not tried.
+        refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
+            if the nominal was made from these recordings.
+        exclude: effects left out of the catalogue.
+        seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
         mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
 
@@ -102,7 +102,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     if own > _PART * gap:
         say("diagnosing the simulator's own recordings")
         simulator = diagnose_model(nominal, simulated, refit_nominal=False, **options)
-        if simulator.interrupted:  # there is no result about the robot yet
+        if simulator.interrupted:  # there is no result on the robot yet
             raise KeyboardInterrupt
         nominal = simulator.model
         own = simulator.gap.after
@@ -120,12 +120,13 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
 
 
 def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
-    """Identify the simulator with the lowest order that leaves a tenth of the gap; a simulator has no noise to stop at.
+    """Identify the simulator with the lowest order whose error is at most a tenth of the gap.
 
-    Without it an integrator's step and its hold became a third pole, beside which no number was that of the joint.
+    A simulator has no noise to limit the order. Without this rule, an integrator's step and its hold became a third
+    pole, and no parameter belonged to the joint.
 
     Returns:
-        the identification, and what its free runs leave of the simulator's and of the robot's records, % of range.
+        the identification, and the errors of its free runs on the simulator's and the robot's records, % of range.
     """
     best = linear_model_of(simulated)
     own, gap = _error(best.model, simulated), max(_error(best.model, real), 1e-12)
@@ -138,7 +139,7 @@ def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple
 
 
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
-    """Free-run error pooled over records, % of range; infinite where one diverges."""
+    """Return the free-run error pooled over records, % of range; infinite if one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
         squares.append(
@@ -148,5 +149,5 @@ def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
 
 
 def with_lineage(found: SimToReal) -> Fitted:
-    """The model handed back, with the robot's recordings in its line of descent."""
+    """Return the returned model with the robot's recordings in its lineage."""
     return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

@@ -1,4 +1,4 @@
-"""The page of a robot beside its simulator: verdict, numbers to type in, where the gap goes, recordings overlaid."""
+"""The page of a robot and its simulator: verdict, parameters, budget of the gap, recordings overlaid."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -6,7 +6,7 @@ from matplotlib.figure import Figure
 from .._compare.page import overlay
 from .._report import html
 from .._report.html import tag
-from .._report.lines import DRIVE, finish, line, own_axes
+from .._report.lines import DRIVE, finish, line, own_axes, some_periods
 from .._report.numbers import figure, of_range, percent, shown_unit, with_error
 from .._table.units import from_base
 from .result import SimToReal
@@ -15,7 +15,7 @@ _DRAWN = 12  # recordings
 
 
 def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray], str]] | None = None) -> str:
-    """A self-contained HTML page; `drawn`: its `figures`, which the page makes small; None draws them."""
+    """Return a self-contained HTML page; `drawn`: its `figures`, which are reduced in size; None draws them."""
     shown = figures(found) if drawn is None else drawn
     pictures = [html.picture(name, each, caption) for name, (each, _, caption) in shown.items()]
     parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
@@ -23,7 +23,7 @@ def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray],
 
 
 def first_screen(found: SimToReal) -> str:
-    """Headline and parameters, without the page around."""
+    """Return headline and parameters as HTML without the page frame."""
     return "".join(_first(found))
 
 
@@ -65,7 +65,7 @@ def _table(found: SimToReal) -> str:
         rows.append(("named" if p.difference and p.certain else "pale" if not p.difference else "", cells))
     gain = any("Kp" in p.unit for p in found.parameters)
     note = (
-        "Bold: said by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
+        "Bold: reported by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
         "difference."
     )
     kp = " Kp is the gain of the position controller; give --position-gain to have torques." if gain else ""
@@ -83,7 +83,7 @@ def _budget(found: SimToReal) -> list[str]:
 
 
 def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], str]]:
-    """Per recording the robot over the simulator and the correction: figure, its numbers, caption."""
+    """Return figure, numbers and caption for every recording: robot, simulator and correction."""
     made = {}
     for pair in found.pairs.pairs[:_DRAWN]:
         name = pair.first.name.replace("/", "_")
@@ -93,7 +93,8 @@ def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], 
         name, unit = record.name.replace("/", "_"), record.voltage_unit
         time, shown = record.time - record.time[0], from_base(added, unit)
         ax = own_axes(None, 1, (5.6, 2.4))[0]
-        line(ax, time, shown, color=DRIVE, lw=0.9)
+        part = some_periods(shown)
+        line(ax, time[part], shown[part], color=DRIVE, lw=0.9)
         finish(np.array([ax]), "time from the start (s)", [f"added input ({shown_unit(unit)})"])
         caption = f"{record.name}: added to the simulator's input, this gives the robot's output"
         assert isinstance(ax.figure, Figure)

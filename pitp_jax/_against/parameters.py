@@ -1,14 +1,14 @@
-"""The numbers of a simulator and of a robot as one types them in: units, names in three programs, differences.
+"""Parameters of a simulator and of a robot as users enter them: units, names in three programs, differences.
 
     a_0 q + a_1 q' + a_2 q'' = c        c: position command, same unit as q
     J = Kp a_2,  D = Kp a_1,  spring = Kp (a_0 - 1),  frictionloss = Kp Fc      Kp: of the position controller
-    weight on an arm   m g l = K c^2 where the spring is K sin(c q) / c, and the spring that is left K - m g l
+    weight on an arm   m g l = K c^2 where the spring is K sin(c q) / c, and the remaining spring K - m g l
     second body        spring kappa K,  inertia kappa K / omega^2,  damper 2 zeta kappa K / omega
 
-A command is held from its time stamp to the next: where the model takes it as a line between samples, half a sample
-of each log is taken off its delay. From position commands alone only these ratios to Kp are known; with a torque or
-force as input the a_i are J, D, K themselves. D holds the controller's own damping, J the link's inertia: it is the
-difference that is to be added.
+A command is held from its time stamp to the next: if the model interpolates it linearly, half a sample of each log is
+subtracted from the delay. From position commands alone only these ratios to Kp are known; with a torque or force as
+input the a_i are J, D, K themselves. D holds the controller's own damping, J the link's inertia: only their difference
+is added to the simulator.
 
 Names: MuJoCo XML reference (joint, actuator); PhysxJointAxisAPI; Isaac Lab's actuator configurations; URDF <joint>.
 """
@@ -31,7 +31,7 @@ from .._table.units import base_unit
 
 @runtime_checkable
 class Answer(Protocol):
-    """What is read off a `Diagnosis` here."""
+    """The attributes of a `Diagnosis` that this module uses."""
 
     @property
     def model(self) -> Model | Fitted: ...
@@ -43,7 +43,7 @@ class Answer(Protocol):
 
 @dataclass(frozen=True)
 class Names:
-    """What a quantity is called in plain words and in three programs; a dash where one has no such number."""
+    """The name of a quantity in plain words and in three programs; a dash if a program lacks it."""
 
     words: str
     mujoco: str = "-"
@@ -68,7 +68,7 @@ _NAMES = {
     "coulomb_friction speed": Names("speed over which dry friction changes"),
     "coulomb_friction give": Names("way that dry friction gives before it slides"),
     "coulomb_friction mu": Names("dry friction over the spring's force"),
-    "delay time": Names("delay of the command", "shift ctrl by it", "DelayedPDActuatorCfg max_delay (steps)"),
+    "delay time": Names("delay of the command", "actuator delay", "DelayedPDActuatorCfg max_delay (steps)"),
     "backlash width": Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
     ),
@@ -80,7 +80,7 @@ _NAMES = {
     "second_mode spring": Names("its spring", "extra hinge stiffness", "extra joint stiffness"),
     "second_mode damper": Names("its damper", "extra hinge damping", "extra joint damping", "dynamics damping"),
     "electrode_rc tau": Names("lag of the drive", 'actuator dyntype="filter" dynprm'),
-    # behind a linear joint the two lags are one: either may be typed in
+    # with a linear joint the two lags are equivalent: either may be entered
     "sensor_lag tau": Names("lag of the sensor, or of the drive", 'actuator dyntype="filter" dynprm'),
     "slew_limit inverse": Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
     "force_limit inverse": Names("largest force of the drive", "actuator forcerange", "max effort", "limit effort"),
@@ -91,14 +91,14 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of the simulator and of the robot.
+    """One parameter of the simulator and of the robot.
 
     Attributes:
         name, words: short and plain.
         simulator, robot, difference: robot less simulator; in `unit`.
-        stderr: of the difference; None where it is not known.
-        mujoco, physx, urdf: what it is called there.
-        certain: whether the diagnosis says the effect by name, or fitted coefficients belong to its answer.
+        stderr: of the difference; None if unknown.
+        mujoco, physx, urdf: its names there.
+        certain: whether the diagnosis reports the effect, or the refitted coefficients.
     """
 
     name: str
@@ -116,7 +116,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Units:
-    """Units of coefficients and forces, and what a value is to be multiplied by.
+    """Units of coefficients and forces, and the factor for their values.
 
     `of[i]`: unit of a_i; `force`: of a force; `factor`: Kp where it is given, else 1.
     """
@@ -130,7 +130,7 @@ class Units:
 
 
 def units(record: Record, order: int, position_gain: float | None) -> Units:
-    """Units of the coefficients under this input; after position commands multiples of Kp, or its units where given."""
+    """Return the units of the coefficients for this input; for position commands multiples of Kp, or its units."""
     command, output = base_unit(record.voltage_unit), base_unit(record.displacement_unit)
     powers = ("", " s", *(f" s^{i}" for i in range(2, order + 1)))
     position = command == output
@@ -148,7 +148,7 @@ def units(record: Record, order: int, position_gain: float | None) -> Units:
 def parameters(
     nominal: Model | Fitted, robot: Answer, records: Sequence[Record], position_gain: float | None
 ) -> tuple[Parameter, ...]:
-    """Every number that the simulator's model or the robot's has.
+    """Return every parameter that the simulator's model or the robot's has.
 
     Args:
         nominal: the simulator's model, with the simulator's own effects.
@@ -171,7 +171,7 @@ def parameters(
         ))  # fmt: skip
     for key in dict.fromkeys([*first, *second]):
         it = second.get(key) or first[key]
-        absent = np.inf if key.endswith("inverse") else 0.0  # a limit that is not there
+        absent = np.inf if key.endswith("inverse") else 0.0  # a limit that does not exist
         sim, real = (side[key].value if key in side else absent for side in (first, second))
         names = _NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
         if gain is not None and key in _SCALED_BY_GAIN:
@@ -184,10 +184,10 @@ def parameters(
 
 
 def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
-    """Return the robot's position gain over the simulator's where that alone explains all changed coefficients.
+    """Return the robot's position gain over the simulator's if it alone explains all changed coefficients.
 
-    Kp q + D q' + J q'' = Kp c:  Kp times g leaves the steady output as it is and divides D / Kp and J / Kp by g. No
-    recording of commands and angles separates that from a damping and an inertia that are both smaller.
+    Kp q + D q' + J q'' = Kp c: Kp times g keeps the steady output and divides D / Kp and J / Kp by g. Recordings of
+    commands and angles cannot separate this from a smaller damping and inertia.
     """
     a, b = nominal.physical_coefficients, robot.physical_coefficients
     if not of.position or len(a) != len(b) or min(*a, *b) <= 0:
@@ -200,7 +200,7 @@ def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Uni
 
 @dataclass(frozen=True)
 class _Number:
-    """A value in the unit that is told, the names of a diagnosis it belongs to, and its standard error."""
+    """A value in the reported unit, the effects it belongs to, and its standard error."""
 
     value: float
     unit: str
@@ -209,13 +209,13 @@ class _Number:
 
 
 def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Mapping]) -> dict[str, _Number]:
-    """Numbers of one model; of several effects that share one the sum, of stops the nearest.
+    """Return the parameters of one model; the sum if several effects share one, the nearest for stops.
 
     Args:
         model: of the simulator or of the robot.
         of: units.
-        held: part of its delay that is the hold of its log, s.
-        fitted: numbers of the effects that were added, with their standard errors.
+        held: part of its delay due to the hold of its log, s.
+        fitted: parameters of the added effects, with their standard errors.
     """
     coefficients, effects = _linear(model, len(of.of) - 1)
     table = _coefficients(coefficients, of, fitted.get("parameter_change", {}))
@@ -231,7 +231,7 @@ def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Ma
 
 
 def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]]:
-    """Coefficients of the simulator's order, and the effects beside; a robot's third pole is a lag behind two."""
+    """Return coefficients of the simulator's order, and the other effects; a robot's third pole becomes a lag."""
     a, others = model.physical_coefficients, []
     for effect in model.effects:
         if effect.name == "sensor_lag" and len(a) <= order:
@@ -243,7 +243,7 @@ def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]
 
 
 def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number]:
-    """Gain, spring, damping and inertia; `moved`: factors on the nominal's coefficients, where they were fitted."""
+    """Return gain, spring, damping and inertia; `moved`: factors on the nominal's coefficients, if fitted."""
     causes = frozenset(["parameter_change"])
     told = [moved.get(f"a_{i} over given") for i in range(len(a))]
     relative = [None if t is None or t["stderr"] is None else t["stderr"] / t["value"] for t in told]
@@ -259,13 +259,13 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
 
 
 def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
-    """What one effect adds to a side, as numbers that a simulator has where there are such."""
+    """Yield the contributions of one effect to the parameters of the simulator or the robot."""
     base = base_units(units_of(model))  # a simulator's units
     told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
     errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
     a, causes = of.factor * model.physical_coefficients, frozenset([effect.name])
 
-    def share(value: float, i: int, *names: str) -> _Number:  # of a product of these numbers
+    def share(value: float, i: int, *names: str) -> _Number:  # of a product of these parameters
         known = [e / told[n][0] for n in names if (e := errors.get(n)) is not None and told[n][0]]
         error = abs(value) * float(np.sqrt(sum(k * k for k in known))) if len(known) == len(names) else None
         return _Number(value, of.of[i], causes, error)
@@ -287,17 +287,17 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
         for p, _ in effect.numbers():
             value, unit = told[p.name]
             error = errors[p.name]
-            if p.name == "inverse":  # stored so that 0 is "no limit"; told as the limit
+            if p.name == "inverse":  # stored so that 0 means no limit; reported as the limit
                 error = None if error is None or not value else error / value**2
                 value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
-                if p.force:  # a limit of the drive's force
+                if p.force:  # a limit of the actuator's force
                     value, unit, error = of.factor * value, of.force, error and of.factor * error
-            elif p.force == 1:  # not by its unit: a backlash in rad is no command in rad
+            elif p.force == 1:  # by its force, not by its unit: a backlash in rad is not a command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error
             side = f", {effect.form}" if effect.form in ("above", "below") else ""
             yield f"{effect.name} {p.name}{side}", _Number(value, unit, causes, error)
 
 
 def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:
-    """As the JSON has them."""
+    """Return the rows for JSON."""
     return [vars(p) for p in told]

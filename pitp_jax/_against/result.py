@@ -1,4 +1,4 @@
-"""What a diagnosis between a simulator and a robot says."""
+"""The result of a diagnosis of a robot against a simulator."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -25,14 +25,15 @@ class SimToReal:
 
     Attributes:
         robot: diagnosis of the robot's records under the simulator's model.
-        simulator: diagnosis of the simulator's own records; None where its model's error is no part of the gap.
+        simulator: diagnosis of the simulator's own records; None if its model's error is not part of the gap.
         identification: the linear model of the simulator.
         nominal: that model with the simulator's own effects.
-        pairs: which recordings share their command, and the offset of the clocks.
+        pairs: recordings with the same command, and the offset of their clocks.
         parameters: the simulator's numbers, the robot's, and the difference.
-        simulator_share: part of the gap's energy that is the error of the simulator's model, with its 95 % interval.
+        simulator_share: fraction of the gap's energy caused by the error of the simulator's model, with its 95 %
+            interval.
         records: the robot's.
-        corrections: added input of each, base unit.
+        corrections: added input per recording, base unit.
     """
 
     robot: Diagnosis
@@ -47,22 +48,22 @@ class SimToReal:
 
     @property
     def verdict(self) -> str:
-        """Of the robot's diagnosis."""
+        """Return the verdict of the robot's diagnosis."""
         return self.robot.verdict
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """The effects that the robot has and the simulator lacks."""
+        """Return the effects that the robot has and the simulator lacks."""
         return self.robot.effects
 
     @property
     def model(self) -> Model | Fitted:
-        """The simulator's model with what the robot has beyond it."""
+        """Return the simulator's model with the robot's additional effects."""
         return self.robot.model
 
     @property
     def budget(self) -> dict[str, Any]:
-        """The robot's budget with the simulator's part, taken from what has no name."""
+        """Return the robot's budget with the simulator's part, taken from the unnamed part."""
         share, low, high = self.simulator_share
         told = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
         left = share
@@ -74,7 +75,7 @@ class SimToReal:
         return told | {"simulator": {"share": share - left, "ci95": [low, high]}}
 
     def lines(self) -> list[str]:
-        """The table of parameters that differ, and what a user should know, in sentences."""
+        """Return the table of parameters that differ, and remarks for the user, in sentences."""
         found = []
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
@@ -88,7 +89,7 @@ class SimToReal:
         return [*gain, *found, *notes[len(gain) :]]
 
     def remarks(self) -> list[str]:
-        """What a user should know beside the table of parameters, in sentences."""
+        """Return remarks for the user on the parameters, in sentences."""
         found = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
@@ -103,28 +104,28 @@ class SimToReal:
         return [*found, *self.pairs.remarks("robot", "simulator")]
 
     def __repr__(self) -> str:
-        """Verdict and parameters, at most ten lines."""
+        """Return verdict and parameters, at most ten lines."""
         told = self.lines()
         more = [f"  and {len(told) - 7} more"] if len(told) > 8 else []
         head = f"SimToReal, {str(self.robot).splitlines()[0]}"
         return "\n".join([head, *(f"  {line}" for line in told[: 7 if more else 8]), *more])
 
     def __str__(self) -> str:
-        """For the terminal."""
+        """Return the text for the terminal."""
         return "\n".join([*str(self.robot).splitlines(), *self.lines()])
 
     def _repr_html_(self) -> str:
-        """The first screen of its page."""
+        """Return the first screen of its page."""
         from .page import first_screen
 
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """One row a parameter: the simulator's value, the robot's, the difference, and its names."""
+        """Return one row per parameter: simulator's value, robot's value, difference, and names in other programs."""
         return data_frame(as_rows(self.parameters))
 
     def as_json(self, csv: str | None = None) -> dict[str, Any]:
-        """The JSON of the robot's diagnosis, with the simulator's part and the parameters."""
+        """Return the JSON of the robot's diagnosis, with the simulator's part and the parameters."""
         pairs = [
             {
                 "robot": p.first.name,
@@ -141,7 +142,7 @@ class SimToReal:
 
 
 def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
-    """State that a position gain explains all changed coefficients, with its twin; empty where it does not."""
+    """Return lines that a position gain explains all changed coefficients, with the alternative; empty if not."""
     gain = next((p for p in parameters if p.name == "position gain"), None)
     if gain is None:
         return []

@@ -1,10 +1,10 @@
-"""Check: what was read, how each record begins, and whether the set is enough to identify and train on.
+"""Check: what was read, how each record starts, and whether the set is sufficient to identify and train on.
 
-    records (+ model) -> per record: beginning, zero, direction, noise, faults, drive
-                      -> over the set: coverage beside the resonance, repeats, records that do not belong, advice
+    records (+ model) -> per record: initial state, offset, direction, noise, faults, input
+                      -> over the set: coverage near the resonance, repeats, records that do not belong, advice
 
-Verb: `check`. Without a model a linear one of order 2 is fitted quietly (`set_fit`); `one_record.quick_problems`
-needs none.
+Verb: `check`. Without a model a linear model of order 2 is fitted without a message (`set_fit`);
+`one_record.quick_problems` needs none.
 """
 
 from .check import Check as Check

@@ -1,9 +1,9 @@
-"""The check: every record as it was understood, the set they make, and plain advice.
+"""The check of every record and of the set, with advice.
 
-    faults, drive, noise (one_record) -> beginning, zero, direction, strangers (set_fit, or the model given)
+    faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit or given model)
                                       -> coverage, repeats -> advice
 
-A record that cannot be used is told and left out of what concerns the set: its problem never hides the others.
+A record that cannot be used is reported and left out of the checks of the set, so its problem does not hide the others.
 """
 
 from collections import Counter
@@ -34,20 +34,20 @@ _FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
 
 @dataclass(frozen=True)
 class CheckedRecord:
-    """What is known of one record; None where it cannot be known.
+    """Facts about one record; None if unknown.
 
     Attributes:
         samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
-        recognised: what the reader saw in the file: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
+        recognised: properties of the file as read: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
         begins: "rest", "held" or "moving".
         zero, zero_stderr, noise: in `unit`, the record's own.
         direction: 1 or -1.
         noise_colour: "white" or "coloured".
         excitation: "sweep", "sine", "steps", "broadband" or "none".
-        band_hz: of the drive.
-        e_rms_percent: what the model given leaves.
-        repaired: what was mended and asks for nothing.
-        problems: a sentence each.
+        band_hz: of the input.
+        e_rms_percent: error of the given model.
+        repaired: corrections that need no action.
+        problems: one sentence each.
     """
 
     samples: int | None = None
@@ -70,7 +70,7 @@ class CheckedRecord:
     problems: tuple[str, ...] = ()
 
     def as_json(self) -> dict:
-        """The dict of docs/contract.md."""
+        """Return the dict of docs/contract.md."""
         plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
         zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
         problems = [*map(str, self.repaired), *self.problems]
@@ -79,16 +79,16 @@ class CheckedRecord:
 
 @dataclass(frozen=True)
 class Check(Shown):
-    """What `check` found.
+    """The result of `check`.
 
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.
-        advice: on the set, a sentence each, what matters most first.
-        resonance_hz: by the model given, or the quiet linear fit; None where nothing could be fitted.
+        advice: on the set, one sentence each, the most important first.
+        resonance_hz: by the given model or the linear fit; None if no fit was possible.
         input_map: whether the force was taken as the square of the voltage or as the voltage.
         coverage: excited frequencies and amplitudes.
-        repeats: drives that were played more than once.
-        understood: the records themselves, as read.
+        repeats: inputs that were played more than once.
+        understood: the records as read.
     """
 
     records: dict[str, CheckedRecord]
@@ -101,16 +101,16 @@ class Check(Shown):
 
     @property
     def problems(self) -> dict[str, tuple[str, ...]]:
-        """Records with problems; what was mended is none."""
+        """Return the problems of the records by name; repairs do not count."""
         return {name: row.problems for name, row in self.records.items() if row.problems}
 
     @property
     def repaired(self) -> list[str]:
-        """What was mended, one line for every kind."""
+        """Return the repairs, one line for every kind."""
         return by_kind([remark for row in self.records.values() for remark in row.repaired])
 
     def as_json(self) -> dict:
-        """The dict of docs/contract.md."""
+        """Return the dict of docs/contract.md."""
         return {"records": {name: row.as_json() for name, row in self.records.items()}, "advice": list(self.advice)}
 
     def _rows(self) -> list[dict]:
@@ -125,12 +125,12 @@ class Check(Shown):
 
 
 def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Check:
-    """What was read, how each record begins, and whether the set is enough.
+    """Check what was read, how each record starts, and whether the set is sufficient.
 
     Args:
-        records: as `pitp.read` gives them; those of another sampling rate than most, or of another kind of output, are
-            told and left out of what concerns the set.
-        model: of the same actuator; None fits a linear one quietly.
+        records: from `pitp.read`; records of an unusual sampling rate or kind of output are reported and left out of
+            the checks of the set.
+        model: of the same actuator; None fits a linear one.
 
     Returns:
         records by name, advice, coverage and repeats.
@@ -147,15 +147,15 @@ def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Che
 
 
 def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
-    """As `check`, beside files that could not be read (name: refusal)."""
+    """Check records as `check` does, with files that could not be read (name: refusal)."""
     check_records(records, empty=bool(refused))
-    # its origin says in which unit its output is, and what it left of its own records
+    # The origin gives the unit of the model's output and its residual on its own records.
     model = None if model is None else fitted_of(model)
     records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
     unit = base_unit(model.origin.displacement_unit) if model is not None else None
     apart = _apart(records, unit)
-    # only these can tell of the set: one rate, one kind of output, driven and moving
+    # Only these describe the set: one rate, one kind of output, moving under an input.
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     fitted = fit_set(used) if used and model is None else None
     beside = beside_model(model, used) if used and model is not None else {}
@@ -169,14 +169,14 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
     advice = set_advice(rows, used, cover, repeats, cycles(used), beside, fitted, turned)
     monitor = monitor_warning(used) if used and input_map == "square" else None
-    # beside the others, not instead of them: one bad file hides no good one
+    # added to the others, so that one bad file does not hide the good ones
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
     lines = ([monitor] if monitor else []) + advice
     return Check(rows | lost, tuple(lines), resonance, input_map, cover, tuple(repeats), tuple(records))
 
 
 def _named(records: Sequence[Record]) -> list[Record]:
-    """Records of one name told apart."""
+    """Return the records with unique names."""
     count, seen, named = Counter(r.name for r in records), Counter(), []
     for r in records:
         seen[r.name] += 1
@@ -185,7 +185,7 @@ def _named(records: Sequence[Record]) -> list[Record]:
 
 
 def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
-    """Records that cannot be in one set with most others: of another rate or kind of output."""
+    """Return the records of another sampling rate or kind of output than most, each with its reason."""
     if not records:
         return {}
     # in steps of the tolerance, so that equal ones are counted together
@@ -205,7 +205,7 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
 
 
 def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:
-    """One record with what the fit or the model says of it."""
+    """Return the row of one record, with the results of the fit or the model."""
     unit, problems = record.displacement_unit, list(own.problems)
     begun: Beginning | None = None
     noise, colour, direction, e_rms = own.noise, None, None, None
@@ -220,9 +220,9 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         begun, e_rms = beside.beginning, beside.e_rms_percent
         direction, colour = int(begun.direction), beside.colour
         noise = beside.coloured if beside.coloured is not None else noise
-        problems += [beside.problem] if beside.problem else []
+        problems += [text for text in (beside.problem, beside.not_excited) if text]
     shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
-    # an infinite error of a zero means that it was not read
+    # an infinite standard error means that the offset was not measured
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
     seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
     return CheckedRecord(
@@ -235,7 +235,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
 
 
 def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:
-    """Names of those read against the direction of most."""
+    """Return the names of records whose sensor is reversed relative to most."""
     known = {name: row.direction for name, row in rows.items() if row.direction is not None}
     most = Counter(known.values()).most_common(1)
     return [name for name, direction in known.items() if direction != most[0][0]]

@@ -1,9 +1,9 @@
-"""Which force frequencies were excited at which amplitude, and what is missing beside the resonance.
+"""Force frequencies and amplitudes that were excited, and gaps near the resonance.
 
     windows of 16 periods of the resonance:  lines that hold 80 % of the force's energy,  amplitude sqrt(2) std(u)
 
-A point is (frequency of the force, amplitude of the voltage). A gap is an interval beside the resonance (f0/3 to
-1.5 f0) that is more than half as wide as its lower end and holds no point above half the largest amplitude.
+A point is (frequency of the force, amplitude of the voltage). A gap is an interval near the resonance (f0/3 to 1.5 f0)
+that is more than half as wide as its lower end and holds no point above half the largest amplitude.
 """
 
 from collections.abc import Sequence
@@ -16,22 +16,22 @@ from .._record.record import Record
 from .._table.units import from_base
 
 _PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3
-_STILL = 0.02  # of the largest amplitude: a window that is no excitation
+_STILL = 0.02  # of the largest amplitude: a window below it is not excited
 _RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5
 _HALF = 0.5
 
 
 @dataclass(frozen=True)
 class Coverage:
-    """Excited points and gaps.
+    """Excited frequencies with amplitudes, and the gaps between them.
 
     Attributes:
         resonance: in Hz.
-        points: force frequency (Hz), amplitude of the drive (its base unit), seconds; shape (points, 3).
-        gaps: intervals in Hz beside the resonance without a point above half the largest amplitude.
-        largest: amplitude, in the drive's base unit.
-        doubled: whether the force runs at twice the drive's frequency (a squared drive without bias).
-        unit: of the drive, in which amplitudes are told.
+        points: force frequency (Hz), amplitude of the input (its base unit), seconds; shape (points, 3).
+        gaps: intervals in Hz near the resonance without a point above half the largest amplitude.
+        largest: amplitude, in the input's base unit.
+        doubled: whether the force has twice the input's frequency (a squared input without bias).
+        unit: of the input, for the amplitudes.
     """
 
     resonance: float
@@ -42,7 +42,7 @@ class Coverage:
     unit: str = "V"
 
     def advice(self) -> list[str]:
-        """A sentence for every gap, and one where the amplitude beside the resonance never changes."""
+        """Return a sentence for every gap, and one if the amplitude near the resonance never changes."""
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
             by = " (of the force: a drive without bias runs at half of that)" if self.doubled else ""
@@ -52,7 +52,7 @@ class Coverage:
                 f"beside the resonance at {_two(f0)} Hz: take a slow sweep, or sines at {_two(one)} and {_two(other)} "
                 f"Hz, of {self._size(1.6 * half)}{by}"
             )
-        # where the amplitude matters most, since the motion is largest there
+        # The amplitude matters most here, because the motion is largest.
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
@@ -67,12 +67,12 @@ class Coverage:
 
 
 def _two(value: float) -> str:
-    """Two digits, or all before the point."""
+    """Return a number with two digits, or as an integer from 100 on."""
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Coverage | None:
-    """Coverage of a set; None where nothing is excited.
+    """Return the coverage of a set; None if nothing is excited.
 
     Args:
         records: of one sampling rate.
@@ -84,7 +84,7 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
         return None
     largest = float(points[:, 1].max())
     points = points[points[:, 1] > _STILL * largest]
-    # without bias the force has twice the drive's frequency, and none at its own
+    # without bias the force has twice the input's frequency, and nothing at that frequency itself
     doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
     strong = np.unique(points[points[:, 1] >= _HALF * largest, 0])
     return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled, records[0].voltage_unit)
@@ -93,7 +93,7 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
 def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
     size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
     force, window, excited = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
-    # windows overlap by half: the Hann window sees little of their ends
+    # windows overlap by half, because the Hann window weights their ends little
     for first in range(0, record.samples - size + 1, max(size // 2, 1)):
         part = np.asarray(force[first : first + size], np.float64)
         power = np.abs(np.fft.rfft((part - part.mean()) * window))[1:] ** 2
@@ -103,7 +103,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
         order = np.argsort(power)[::-1]
         # as few lines as hold most of the energy
         many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
-        # a line much weaker than its neighbour is that one's leak
+        # a line much weaker than its neighbour is leakage of that one
         beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
         lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
         excited += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
@@ -111,7 +111,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
-    """Intervals between neighbours, and what is left to the ends of the range beside the resonance."""
+    """Return the gaps between excited frequencies, and those to the ends of the range near the resonance."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]

@@ -1,8 +1,8 @@
-"""One record by itself: its drive, the faults of its sensor and clock, its noise, and what is wrong with it.
+"""One record by itself: its input, the faults of its sensor and clock, its noise, and its problems.
 
-band     frequencies between which 98 % of the drive's energy about its mean lies
-noise    white: 5th difference (`noise_std`);  coloured: what the residual holds far above drive and resonance,
-P(lowest quarter of those bands) > 4 P(highest quarter), goes on below them at that density
+band     frequencies between which 98 % of the input's energy about its mean lies
+noise    white: 5th difference (`noise_std`);  coloured: the residual's density far above input and resonance,
+P(lowest quarter of those bands) > 4 P(highest quarter), is extended to lower frequencies
 """
 
 from collections.abc import Sequence
@@ -20,26 +20,26 @@ from .._record.record import Record
 from .._record.remarks import Remark
 from .._table.units import base_unit, from_base
 
-_TAIL = 0.01  # of the drive's energy that lies below and above its band
-_FEW_PER_PERIOD = 8  # samples of the fastest drive's period, below which what happens between them matters
-_ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; from there on the spectrum is the sensor's
+_TAIL = 0.01  # fraction of the input's energy below its band, and above
+_FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
+_ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; above them the spectrum is sensor noise
 _COLOURED, _FEWEST_BANDS = 4.0, 8
-_UNIT = 300.0  # times: more than a resonance and its roll-off make of one actuator's reach
-_MANY = 0.01  # of the samples: more outliers are no longer a few spikes
-_MUCH = 0.05  # share of missing samples that is worth a word
+_UNIT = 300.0  # times: more than a resonance and its roll-off change one actuator's range
+_MANY = 0.01  # fraction of the samples: more outliers are more than a few spikes
+_MUCH = 0.05  # fraction of missing samples that is reported
 
 
 @dataclass(frozen=True)
 class Facts:
-    """What one record shows without any model.
+    """Properties of one record that need no model.
 
     Attributes:
-        excitation: "sweep", "sine", "steps", "broadband", or "none" where the drive never changes.
-        band_hz: lowest and highest frequency of the drive; None where it never changes.
+        excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.
+        band_hz: lowest and highest frequency of the input; None if it never changes.
         noise: standard deviation of white sensor noise, output's base unit.
         outliers, clipped, lost: samples masked by the reader or here.
         jitter: largest distance of a time from the uniform grid, in samples.
-        repaired: what was mended and asks for nothing, a few spikes and lost samples among them.
+        repaired: corrections that need no action, for example a few spikes and lost samples.
         problems: one sentence each.
     """
 
@@ -55,7 +55,7 @@ class Facts:
 
 
 def masked(record: Record) -> Record:
-    """The record with its sensor's faults masked and counted, as the reader does; as it is where there are none."""
+    """Return the record with sensor faults masked and counted as the reader does; unchanged if there are none."""
     faults, seen = mask_faults(record.displacement, record.voltage), record.recognised
     if not (faults.outliers or faults.clipped):
         return record
@@ -64,7 +64,7 @@ def masked(record: Record) -> Record:
 
 
 def facts(record: Record) -> Facts:
-    """Drive, faults and noise of one record, as `masked` gives it."""
+    """Return input, faults and noise of one record from `masked`."""
     seen, unit = record.recognised, record.displacement_unit
     outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
     jitter = float(seen.get("jitter", _jitter(record)))
@@ -87,7 +87,7 @@ def facts(record: Record) -> Facts:
 
 
 def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:
-    """What no reader tells: too much is missing, nothing is excited, nothing moves, or it is sampled too coarsely."""
+    """Return problems that no reader reports: many missing samples, no excitation, no motion, or coarse sampling."""
     problems = []
     if record.missing > _MUCH * record.samples:
         problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
@@ -98,7 +98,7 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
         problems.append(
             f"does not move beyond its noise of {spread:.2g} {record.displacement_unit}: look at sensor and amplifier"
         )
-    # steps have no highest frequency: their band ends where their flanks are sampled
+    # steps have no highest frequency: their band ends where their edges are sampled
     if band and (per := 1 / (band[1] * record.dt)) < _FEW_PER_PERIOD and kind(record) != "steps":
         least = _FEW_PER_PERIOD * band[1]
         problems.append(f"only {per:.1f} samples a period of its fastest input: sample at {least:.3g} Hz or more")
@@ -106,13 +106,13 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
 
 
 def quick_problems(records: Sequence[Record]) -> list[str]:
-    """What is wrong with records that no reader told and no fit need find: a line each, for commands that fit."""
+    """Return problems that need no fit, one line each, for commands that fit."""
     lines, reach = [], []
     for r in records:
         band = drive_band(r) if np.ptp(r.voltage) > 0 else None
         lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
         reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
-    # the median: one record in other units must not move what is usual
+    # the median, so that one record in other units does not change the usual value
     usual = float(np.median(reach))
     return lines + [
         f"{r.name}: moves {x / usual:.2g} times as far per volt as most others: is its unit right?"
@@ -122,7 +122,7 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
 
 
 def moves(record: Record) -> bool:
-    """Whether its output moves beyond its noise."""
+    """Return whether the record's output moves beyond its noise."""
     try:
         return not in_motion([record])[1]
     except ValueError:
@@ -130,29 +130,29 @@ def moves(record: Record) -> bool:
 
 
 def drive_band(record: Record) -> tuple[float, float]:
-    """Frequencies in Hz between which 98 % of the drive's energy about its mean lies; a sine's are equal."""
+    """Return the frequencies (Hz) between which 98 % of the input's energy about its mean lies; equal for a sine."""
     if kind(record) == "sine":
         line = loudest(record)
         return line, line
-    # from line 1 on: the mean is no excitation
+    # from line 1 on: the mean is not excitation
     total = np.cumsum(np.abs(np.fft.rfft(record.voltage - record.voltage.mean()))[1:] ** 2)
     low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_TAIL, 1 - _TAIL))
     return low / (record.samples * record.dt), high / (record.samples * record.dt)
 
 
 def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float, resonance: float) -> float | None:
-    """Standard deviation of coloured noise in what a model leaves of a record; None where it is white or not to tell.
+    """Return the standard deviation of coloured noise in a model's residual; None if it is white or unknown.
 
     Args:
         residual: shape (T,), 0 where not `seen`.
         seen: True where the output was measured, shape (T,).
         dt: sampling interval, s.
-        top: the fastest drive's force, Hz.
+        top: highest frequency of the force, Hz.
         resonance: of the actuator, Hz.
     """
     edges = band_edges(int(0.6 * len(residual)), dt)
     levels = band_levels(residual, seen, dt, edges)
-    # so far above drive and resonance the actuator answers nothing: what is there is noise
+    # so far above input and resonance the actuator does not respond, so the residual there is noise
     own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
     quarter = int(own.sum()) // 4
     if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():

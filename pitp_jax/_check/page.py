@@ -1,4 +1,4 @@
-"""The check as one self-contained page: advice, records, coverage, and every record's output under its drive."""
+"""The check as one self-contained page: advice, records, coverage, and every record's output and input."""
 
 from collections.abc import Sequence
 
@@ -15,14 +15,14 @@ from .._table.quantity import Quantity, Units
 from .._table.units import from_base
 from .check import Check, CheckedRecord
 
-_DRAWN = 24  # records; more make no page that anybody reads
+_DRAWN = 24  # records; a page with more is too long to read
 
 
 def page(check: Check) -> str:
-    """A self-contained HTML page.
+    """Return the check as a self-contained HTML page.
 
     Args:
-        check: what `pitp check` knows of a set.
+        check: result of `pitp check` for a set.
     """
     many, wrong = len(check.records), len(check.problems)
     title = f"{counted(many, 'record')}, {wrong or 'none'} with problems"
@@ -90,7 +90,7 @@ def _picture(name: str, drawn, caption: str) -> str:
 
 
 def _pictures(check: Check) -> list[str]:
-    """Every record's output and drive."""
+    """Return the section with a figure of every record's output and input."""
     shown = [
         _picture(f"r{k}", _drawn(r), f"{r.name}: {check.records[r.name].excitation}, {_begins(check.records[r.name])}")
         for k, r in enumerate(check.understood[:_DRAWN])

@@ -1,4 +1,4 @@
-"""Drives that were played twice, and how far apart the rig's answers are: what no model can be asked to explain.
+"""Inputs that were played twice, and the difference of the responses: the part that no model can explain.
 
 sigma^2 = mean (y_a - y_b - mean difference)^2 / 2       where  |u_a - u_b| < 1 % of its range
 """
@@ -11,13 +11,13 @@ import numpy as np
 from .._record.record import Record
 from .._record.repeatability import repeat_scatter
 
-_SAME = 0.01  # of the drive's range
-_MOST = 400  # records, of which all pairs are looked at
+_SAME = 0.01  # fraction of the input's range
+_MOST = 400  # records; all pairs of them are compared
 
 
 @dataclass(frozen=True)
 class Repeat:
-    """Records of one drive: their names, and the standard deviation of what they do not share (base unit)."""
+    """Records of one input: their names, and the standard deviation of their differences (base unit)."""
 
     names: tuple[str, ...]
     sigma: float
@@ -25,7 +25,7 @@ class Repeat:
 
 
 def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
-    """Groups of records whose drive is the same; each record in one group at most."""
+    """Return groups of records with the same input; each record is in one group at most."""
     others, groups = list(records[:_MOST]), []
     while others:
         first = others.pop(0)
@@ -48,14 +48,14 @@ def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repea
     if seen.sum() < 2:
         return Repeat(tuple(r.name for r in records), float("nan"), float("nan"))
     y = y[:, seen] - y[:, seen].mean(1, keepdims=True)
-    # sample by sample over the repeats: what they share, the model's part, drops out
+    # sample by sample over the repeats, so that the common response cancels
     sigma = float(np.sqrt(np.mean(y.var(0, ddof=1))))
     span = float(np.median(np.ptp(y, axis=1)))
     return Repeat(tuple(r.name for r in records), sigma, 100 * sigma / span if span > 0 else float("nan"))
 
 
 def cycles(records: Sequence[Record]) -> dict[str, float]:
-    """Per record whose drive repeats itself: what its cycles do not share, % of range, creep included."""
+    """Return the scatter between the cycles of a periodic record, % of range, creep included, by name."""
     scatter = {}
     for r in records:
         y = np.where(r.observed, r.displacement, 0.0)

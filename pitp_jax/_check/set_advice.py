@@ -1,4 +1,4 @@
-"""Advice on a set of records: a sentence each, with numbers, what matters most first."""
+"""Advice on a set of records, one sentence each with numbers, the most important first."""
 
 from collections.abc import Mapping, Sequence
 
@@ -12,8 +12,8 @@ from .set_fit import SetFit
 from .with_model import Explained
 
 _PEAKS = 0.5**0.5  # damping below which a mode has a resonance peak
-_PER_PERIOD = 20.0  # samples of the resonance's period for RK4 and a readable second derivative
-_STDERRS = 4.0  # from which two zeros differ, and 0.2 % of range
+_PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
+_STDERRS = 4.0  # combined standard errors by which two offsets differ, and 0.2 % of range
 _SMALL = 0.002
 
 
@@ -21,17 +21,17 @@ def set_advice(
     rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
     cycles: Mapping[str, float], beside: Mapping[str, Explained], fitted: SetFit | None, turned: Sequence[str],
 ) -> list[str]:  # fmt: skip
-    """What to do about the set.
+    """Return advice on the set, one sentence each.
 
     Args:
         rows: checked records by name.
-        used: records that move under a drive, of one rate.
+        used: records of one rate in which input and output move.
         cover: excited frequencies and amplitudes.
-        repeats: drives that were played more than once.
-        cycles: what the cycles of a record's drive do not share, % of range.
-        beside: records beside the model, where one was given.
-        fitted: the quiet linear fit.
-        turned: records that are read against the direction of most.
+        repeats: inputs that were played more than once.
+        cycles: scatter between the cycles of a periodic input, % of range.
+        beside: records compared with the model, if one was given.
+        fitted: the linear fit.
+        turned: records whose sensor is reversed relative to most.
     """
     if not used:
         return ["no record moves under a drive: nothing can be identified from these; look at sensor and amplifier"]
@@ -60,7 +60,7 @@ def set_advice(
                 f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
                 f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"
             )
-    # None: nothing is known of how it begins
+    # None: the initial state is not known
     begins = {rows[r.name].begins for r in used} - {None}
     if begins and "rest" not in begins:
         none, what = (
@@ -73,16 +73,16 @@ def set_advice(
 
 
 def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list[str]:
-    """Whether the sensor was moved between records; what a linear fit leaves of one blurs its zero."""
+    """Return a line if the sensor was moved between records; a linear fit's residual widens the tolerance."""
     known = [r for r in used if rows[r.name].zero is not None and rows[r.name].zero_stderr is not None]
     if len(known) < 2:
         return []
-    # Compared in base units: 0.05 mm and 50 um are one zero
+    # compared in base units: 0.05 mm and 50 um are the same offset
     zeros, errors = (
         np.array([to_base(getattr(rows[r.name], field), r.displacement_unit) for r in known])
         for field in ("zero", "zero_stderr")
     )
-    # of records at rest the zero was read, of all others it was fitted
+    # the offset was measured for records at rest, and fitted for all others
     resting = [zero for r, zero in zip(known, zeros, strict=True) if rows[r.name].begins == "rest"]
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):
@@ -105,7 +105,7 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
 
 
 def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
-    """What repeats say of the floor; or that there are none."""
+    """Return lines on the error floor that repeats show, or on missing repeats."""
     known = [r for r in repeats if np.isfinite(r.percent)]
     if known:
         worst = max(known, key=lambda r: r.percent)

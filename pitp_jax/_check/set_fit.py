@@ -1,9 +1,10 @@
-"""All records beside one linear model of order 2: how each begins, its zero and direction, and whether it belongs.
+"""All records compared with one linear model of order 2: initial state, offset, direction, and membership in the set.
 
-    F = map(u),   y_r = g_r x(t) + zero_r (+ a free response where it starts moving),    x: unit static gain
+    F = map(u),   y_r = g_r x(t) + offset_r (+ a free response where it starts moving),    x: unit static gain
 
-The poles are common, the gain g_r a record's own. A record does not belong where |log g_r| is far from the others' or
-where the common poles leave far more of it than of the others; it is then left out and the rest fitted again.
+The poles are common to all records; each record has its own gain g_r. A record does not belong to the set if |log g_r|
+is far from the others', or if its residual with the common poles is much larger than the others'. It is then left out,
+and the others are fitted again.
 """
 
 from collections.abc import Sequence
@@ -21,29 +22,29 @@ from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.reduced import averaged, block_size
 
-_PER_PERIOD = 40  # samples of the force band's period that are kept of a record
+_PER_PERIOD = 40  # samples per period of the force band that a record keeps
 _MOST = 300_000  # samples in all
 _ROUNDS = 3
-_HALVED = 6  # records, from which halves are tried
+_HALVED = 6  # records from which halves of the set are tried
 _EXACT = 1e-6  # fraction unexplained of a record without noise
-_FEWEST = 3  # records, of which one can differ from most
+_FEWEST = 3  # records needed to find one that differs from most
 _SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
-_UNEXPLAINED = 0.3  # fraction, from which a record may not belong
+_UNEXPLAINED = 0.3  # fraction from which a record may not belong
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
-_TELLS = 4.0  # standard errors of its own gain, from which a record tells a direction
+_TELLS = 4.0  # standard errors of a record's own gain from which its direction is known
 
 
 @dataclass(frozen=True)
 class Beside:
-    """One record beside the set's linear model.
+    """One record compared with the set's linear model.
 
     Attributes:
-        beginning: as `identify` would find it, with the rig's direction.
-        gain: its own over the median of the set's; nan where there is none.
-        unexplained: fraction of its standard deviation that the model leaves, gain and zero fitted.
-        tells: whether it tells a direction.
-        strange: why it does not belong, or empty.
-        error: what the model leaves, at every `step`-th sample; 0 where not `seen`.
+        beginning: initial state as `identify` would find it, with the rig's direction.
+        gain: its own over the median of the set's; nan if unknown.
+        unexplained: residual as a fraction of its standard deviation, with fitted gain and offset.
+        tells: whether it determines the direction.
+        strange: why it does not belong to the set, or empty.
+        error: residual at every `step`-th sample; 0 where not `seen`.
         seen: where the output was measured.
         step: samples averaged into one.
     """
@@ -60,7 +61,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The common model: frequency in Hz and damping, median fraction unexplained, input map, every record beside it."""
+    """The common model: frequency (Hz), damping, median fraction unexplained, input map, and the compared records."""
 
     natural_hz: float
     damping: float
@@ -70,9 +71,9 @@ class SetFit:
 
 
 def fit_set(records: Sequence[Record]) -> SetFit | None:
-    """Fit the records that move together; None where nothing can be fitted.
+    """Fit the records that move together; return None if nothing can be fitted.
 
-    The force is the square of the voltage unless a linear one leaves less than half.
+    The force is the square of the voltage unless a linear one has less than half the residual.
     """
     best = None
     for name in ("square", "linear"):
@@ -85,7 +86,7 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """The common poles that fit most records: of all, or of a half, then of those that belong."""
+    """Return the fit with common poles, after excluding records that do not belong to the set."""
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))
@@ -98,7 +99,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
         kept = every
         for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
             belong = {k for k, row in enumerate(best[1]) if not row.strange}
-            if len(belong) < 2 / 3 * len(every):  # the records disagree: none can be called the stranger
+            if len(belong) < 2 / 3 * len(every):  # the records disagree, so none can be excluded
                 best = best[0], [replace(row, strange="") for row in best[1]]
             if len(belong) < 2 / 3 * len(every) or belong == kept:
                 break
@@ -111,7 +112,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
-    """Poles (`linear_ode`) of some records, and every record beside them."""
+    """Fit common poles (`linear_ode`) to some records, and compare every record with them."""
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
@@ -127,15 +128,16 @@ def _usual(rows: Sequence[Beside]) -> float:
 
 
 def _doubtful(rows: Sequence[Beside]) -> bool:
-    """Whether one record may have bent the poles of all."""
+    """Return whether the common poles are doubtful: two sensor directions, or a record that they do not explain."""
     directions = {row.beginning.direction for row in rows if row.tells}
     return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 
 
 def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float], omega: float) -> Beginning:
-    """What a linear model takes for motion may be its own error; None: by the first samples alone.
+    """Return a plausible initial state: apparent motion may be an error of the linear model.
 
-    A record that stands still at 0 V, or at the zero of those at rest, begins at rest too.
+    A record that is still at 0 V, or at the offset of those at rest, also starts at rest. Without `begun` only the
+    first samples decide.
     """
     if (begun is not None and begun.begins != "moving") or not is_still(record, omega):
         return begun or Beginning("moving", 1.0, float(np.nanmedian(record.displacement)), float("inf"))
@@ -146,20 +148,20 @@ def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]
 
 
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
-    """Force and output as means over blocks: a linear system keeps their relation."""
+    """Return force and output averaged over blocks; a linear system preserves their relation."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, total = records[0].dt, sum(r.samples for r in records)
     shortest = min(r.samples for r in records)
     fine = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
     step = max(fine, min(-(-total // _MOST), shortest // 64), 1)
     small = [averaged(r, force, step) for r, force in zip(records, forces, strict=True)]
-    # a drive that begins at 0 V is held there too, and at rest
+    # an input that starts at 0 V was held there before, at rest
     firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
     return step, [replace(r, voltage=voltage) for r, voltage in zip(small, firsts, strict=True)]
 
 
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:
-    """Own gain and zero by least squares; the direction is the gain's sign."""
+    """Return gain and offset of one record by least squares; the direction is the gain's sign."""
     dt, force, seen = record.dt, record.voltage, record.observed
     driven = respond(logs, force, step=dt, square=False, hold="foh", settled=begun.begins == "held")
     free, _ = coast(logs, record.samples, step=dt)
@@ -179,7 +181,7 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
 
 
 def _relative(rows: Sequence[Beside]) -> list[Beside]:
-    """Gains over the median of those that tell one, and what is strange about each."""
+    """Return the rows with gains relative to the median, and with the reason why a record does not belong."""
     gains = np.array([abs(row.gain) if row.tells else np.nan for row in rows])
     if not np.isfinite(gains).any():
         return [replace(row, gain=float("nan")) for row in rows]
@@ -199,7 +201,7 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
 
 
 def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
-    """Why a record does not belong; empty where it does."""
+    """Return why a record does not belong; empty if it does."""
     if off and not poor:
         near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
         if abs(np.log(gain / near)) < 0.3:

@@ -1,9 +1,9 @@
-"""Records beside the model given: how each begins, and which of them it does not explain.
+"""Records compared with a given model: how each starts, and which of them it does not explain.
 
-    e_rms > 3 max(what the model left of its own records, median of these)  and > 1 % of range,   or > 20 % of range
+    e_rms > 3 max(error on the model's own records, median of these)  and > 1 % of range,   or > 20 % of range
 
-What it left of its own records is known of an identified model (`misfit` noise deviations). Noise of a record is no
-fault of the model: twice the noise is always allowed.
+The error on its own records is known for an identified model (`misfit` noise deviations). A record's noise is no fault
+of the model, so twice the noise is always allowed.
 """
 
 from collections.abc import Sequence
@@ -23,17 +23,21 @@ _TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
 
 @dataclass(frozen=True)
 class Explained:
-    """One record beside the model: its beginning, error in % of range (None: diverged), noise, and what is wrong."""
+    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem.
+
+    `not_excited`: the sentence on what the model was not trained with.
+    """
 
     beginning: Beginning
     e_rms_percent: float | None
     coloured: float | None
     colour: str | None
     problem: str
+    not_excited: str
 
 
 def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
-    """Free runs of the model beside records of one rate, by name."""
+    """Return the comparison of the model's free runs with records of one rate, by name."""
     runs = predict(model, records)
     errors = [
         float(e_rms_percent(p.displacement, r.displacement, p.scored)) for p, r in zip(runs, records, strict=True)
@@ -56,5 +60,6 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
         coloured = coloured_noise(residual, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
         begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
         colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
-        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
+        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem,
+                                     p.not_excited)  # fmt: skip
     return explained

@@ -1,4 +1,4 @@
-"""`pitp adapt`: the same actuator on another day, from one short recording."""
+"""`pitp adapt`: adapts a model to the same actuator on another day, from one short recording."""
 
 from .._adapt.adaptation import Adaptation
 from .._adapt.adaptation import adapt as run_adaptation
@@ -15,8 +15,8 @@ def adapt(model, records, out, json_file, reading) -> None:
     Args:
         model: model file.
         records: files and folders.
-        out: model file to write: with `unchanged` a copy of the one given.
-        json_file: where to write the finding for machines, or None.
+        out: model file to write; for `unchanged` a copy of the given one.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
@@ -35,7 +35,7 @@ def adapt(model, records, out, json_file, reading) -> None:
 
 
 def print_adaptation(day: Adaptation) -> None:
-    """Verdict, numbers and errors on standard output."""
+    """Print verdict, parameters and errors on standard output."""
     where = ", on the half of the recording not used for the fit" if day.heldout else ""
     print(f"{day.verdict}: {number(day.before, 3)} % of range before, {number(day.after, 3)} % after{where}")
     rows = []

@@ -1,6 +1,6 @@
 """Numbers of the command line that may carry a unit: `3kV`, `20deg`, `5e4 V/s`.
 
-Without a unit a voltage is in V and a length in mm, any other quantity is in the unit of the model's records.
+Without a unit a voltage is in V and a length in mm, and any other quantity in the unit of the model's records.
 """
 
 import math
@@ -13,7 +13,7 @@ from .._table.units import kind_of, spelt, to_base, units_of_kind
 
 
 class Amount(NamedTuple):
-    """A number and the unit behind it as it was written, empty where there is none."""
+    """A number and its unit as written, empty if there is none."""
 
     value: float
     unit: str
@@ -23,7 +23,7 @@ class Amount(NamedTuple):
 
 
 def amount(text: str) -> Amount | None:
-    """Split `3kV` into its number and its unit; None where it is no finite number with a unit."""
+    """Split `3kV` into its number and its unit; return None if it is not a finite number with a unit."""
     found = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", text)
     if found is None or not math.isfinite(float(found[1])):
         return None
@@ -34,12 +34,12 @@ def amount(text: str) -> Amount | None:
 
 
 def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool = False) -> float | None:
-    """Convert what an option was given to base units (per second for a rate); None stays None.
+    """Convert the value of an option to base units (per second for a rate); None stays None.
 
     Args:
         given: the number with its unit.
         option: its name, for the message.
-        quantity: in whose unit a number without a unit is.
+        quantity: its unit is taken for a number without one.
         rate: per second.
 
     Raises:
@@ -57,7 +57,7 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
 
 
 def _unit_of_rate(unit: str) -> str:
-    """Take one `per second` off a unit: kV of kV/s, deg/s of deg/s2."""
+    """Return a unit without one `per second`: kV from kV/s, deg/s from deg/s2."""
     found = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
     if found is None:
         return ""

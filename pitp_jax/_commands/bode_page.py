@@ -1,4 +1,4 @@
-"""The page of an identification: measured frequency response, every order's model beside it, poles, why this order.
+"""The page of an identification: measured frequency response, models of all orders, poles, reason for the order.
 
 G(jw) = polarity e^{-jw delay} / sum_i a_i (jw)^i
 """
@@ -18,7 +18,7 @@ from .._table.quantity import grouped
 
 
 def bode_page(fits: Identification, name: str) -> str:
-    """A self-contained HTML page on the identification written to `name`."""
+    """Return a self-contained HTML page on the identification written to `name`."""
     chosen = fits.chosen
     kind = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
@@ -50,7 +50,7 @@ def bode_page(fits: Identification, name: str) -> str:
 
 
 def _why(fits: Identification) -> str:
-    """Say in one sentence why this order."""
+    """Return one sentence on the reason for this order."""
     chosen, known = fits.chosen, [o.order for o in fits.orders if o.identifiable]
     if len(fits.orders) == 1:
         return f"Order {chosen.order} was asked for."
@@ -79,7 +79,7 @@ def _poles(fit: OrderFit) -> list[tuple[str, str]]:
 
 
 def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
-    """The model's frequency response, output over force."""
+    """Return the model's frequency response, output over force, shape (frequencies,)."""
     s = 2j * np.pi * hz
     return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
 
@@ -111,7 +111,7 @@ def _bode(fits: Identification) -> Figure:
 
 
 def _leaves(fits: Identification) -> str:
-    """Say in words what the residual tests show."""
+    """Return the results of the residual tests in words."""
     tested = fits.residuals
     own = "is white: no lag shows its own past" if tested.white else "is coloured: it follows from its own past"
     drive = (

@@ -1,4 +1,4 @@
-"""Compiled programs kept between runs, in the user's cache folder: the second `pitp predict` compiles nothing."""
+"""Keep compiled programs between runs, in the user's cache folder; a second `pitp predict` compiles nothing."""
 
 import os
 import platform
@@ -7,26 +7,26 @@ from pathlib import Path
 
 from platformdirs import user_cache_dir
 
-_LARGEST = 2**30  # bytes; beyond it the programs used longest ago go
+_LARGEST = 2**30  # bytes; above it the least recently used programs are deleted
 
 
 def keep_programs(shortest: float) -> None:
-    """Tell JAX, before it is imported, where to keep compiled programs; what the environment says already stands.
+    """Set JAX's folder for compiled programs, before its import; environment settings take precedence.
 
-    A folder for each computer: a home folder may be shared by several, and programs are for one processor. Those that
-    compile in less than `shortest` seconds are not kept.
+    Each computer has its own folder, because a home folder may be shared and programs are specific to a processor.
+    Programs that compile in less than `shortest` seconds are not kept.
     """
     if "jax" in sys.modules:
         return
-    # JAX 0.9 prints some kilobytes for every kept program that it loads: the compiler's own preferences
-    # (+prefer-no-gather) are no features of the processor. What fails is raised as an error all the same.
+    # JAX 0.9 prints several kilobytes for every kept program that it loads: compiler preferences (+prefer-no-gather)
+    # that the processor does not list. Errors are still raised.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "3")
     if "JAX_COMPILATION_CACHE_DIR" in os.environ:
         return
     folder = Path(user_cache_dir("pitp_jax", appauthor=False)) / "programs" / (platform.node() or "here")
     try:
         folder.mkdir(parents=True, exist_ok=True)
-    except OSError:  # nowhere to keep them: compile again
+    except OSError:  # no place to keep them: compile again
         return
     if not os.access(folder, os.W_OK):
         return

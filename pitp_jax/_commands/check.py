@@ -1,4 +1,4 @@
-"""`pitp check`: what was read, how each record begins, and whether the set is enough."""
+"""`pitp check`: reports what was read, how each record starts, and whether the set is sufficient."""
 
 import os
 from pathlib import Path
@@ -18,13 +18,13 @@ PAGE, SOURCE = "check.html", "source.toml"
 
 
 def check(records, model, out, json_file, reading) -> None:
-    """Check, write what was asked for, and print the finding.
+    """Check the records, write the requested files, and print the result.
 
     Args:
         records: files and folders.
         model: model file, or None.
-        out: folder for every record as it was understood and the page, or None.
-        json_file: where to write the finding for machines, or None.
+        out: folder for the records as read and the page, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:

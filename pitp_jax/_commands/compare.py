@@ -1,4 +1,4 @@
-"""`pitp compare`: two models, two diagnoses or two sets of records, and what differs between them."""
+"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of records."""
 
 import json
 import math
@@ -19,12 +19,12 @@ PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
 
 
 def compare(a, b, out, json_file, reading) -> None:
-    """Compare, write what was asked for, and print what differs.
+    """Compare the inputs, write the requested files, and print the differences.
 
     Args:
         a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
         out: folder for a page and its figures, or None.
-        json_file: where to write the comparison for machines, or None.
+        json_file: where to write the comparison as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
@@ -41,7 +41,7 @@ def compare(a, b, out, json_file, reading) -> None:
 
 
 def _opened(path: str, reading: dict):
-    """A model, the JSON of a diagnosis, or records: whichever the path holds."""
+    """Return the model, the JSON of a diagnosis, or the records at a path."""
     place = Path(path)
     diagnosis = place / DIAGNOSIS if place.is_dir() else place
     if diagnosis.is_file() and diagnosis.suffix == ".json":
@@ -62,7 +62,7 @@ def _diagnosis(path: Path) -> dict:
 
 
 def _names(a: str, b: str) -> tuple[str, str]:
-    """File or folder names, whole paths where these are alike."""
+    """Return file or folder names, or whole paths if the names are equal."""
     short = (Path(a).name, Path(b).name)
     return short if short[0] != short[1] and all(short) else (a, b)
 

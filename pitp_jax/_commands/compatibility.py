@@ -1,4 +1,4 @@
-"""Whether a model and some data can be about the same actuator."""
+"""Check whether a model and data can belong to the same actuator."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from .console import say
 
 
 def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
-    """Refuse an output in volts for a model in metres, and the other way round.
+    """Refuse an output of another kind than the model's, such as volts for a model in metres.
 
     Raises:
         BadInput: naming both.

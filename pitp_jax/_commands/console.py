@@ -1,4 +1,4 @@
-"""What a command says: lines and a progress bar on standard error, tables on standard output."""
+"""Console output of a command: lines and a progress bar on standard error, tables on standard output."""
 
 import shutil
 import sys
@@ -8,18 +8,18 @@ from typing import Any
 
 from .._report.numbers import number as number
 
-_EVERY_S = 5.0  # between lines of progress where standard error is not a terminal
+_EVERY_S = 5.0  # between lines of progress if standard error is not a terminal
 _REDRAW_S = 0.1
 
 
 def say(line: str) -> None:
-    """One line on standard error, over whatever progress bar stands there."""
+    """Print one line on standard error; it replaces a progress bar on a terminal."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     print(f"{clear}pitp: {line}", file=sys.stderr, flush=True)
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Columns on standard output, the first to the left, the others to the right."""
+    """Print columns on standard output, the first left-aligned, the others right-aligned."""
     lines = [list(header), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
@@ -28,14 +28,14 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Seconds as people say them; nothing where they are not known."""
+    """Return a duration in readable units; `?` if unknown."""
     if not 0 <= seconds < 1e6:
         return "?"
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
 class ProgressBar:
-    """Progress of training: redrawn in place on a terminal, a line now and then elsewhere."""
+    """A progress display: redrawn in place on a terminal, a line every few seconds elsewhere."""
 
     def __init__(self):
         self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
@@ -60,7 +60,7 @@ class ProgressBar:
 
 
 class StatusLine:
-    """Progress of work whose length is not known: the last step in place on a terminal, now and then elsewhere.
+    """A progress display for work of unknown length: the last step in place on a terminal, regular lines elsewhere.
 
     A line `stage: step ...` is a step of its stage; any other line is an event, and always shown.
     """
@@ -85,6 +85,6 @@ class StatusLine:
             say(line)
 
     def close(self) -> None:
-        """Leave the terminal's line clear for what follows."""
+        """Clear the terminal's line for later output."""
         if self._tty:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

@@ -1,4 +1,4 @@
-"""`pitp demo`: the paper's experiments on a virtual actuator, or a robot's joint beside its simulator."""
+"""`pitp demo`: runs the paper's experiments on a virtual actuator, or a robot's joint with its simulator."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -18,7 +18,7 @@ def demo(plant, out, quick, json_file=None) -> None:
         plant: name of the virtual actuator, or "joint".
         out: folder to write to, created if missing.
         quick: fewer and shorter records.
-        json_file: where to write the tables for machines, or None.
+        json_file: where to write the tables as JSON, or None.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -46,7 +46,7 @@ def demo(plant, out, quick, json_file=None) -> None:
 
 
 def _joint(out: str, quick: bool, json_file: str | None) -> None:
-    """Write the recordings of a joint and of its simulator, and print what differs between the two."""
+    """Write the recordings of a joint and of its simulator, and print the differences between both."""
     check_outputs(json_file, folder=out, names=joint.recordings())
     _check_recordings(Path(out), joint.recordings())
     ideal, real = asdict(joint.IDEAL), asdict(joint.REAL)
@@ -63,7 +63,7 @@ def _joint(out: str, quick: bool, json_file: str | None) -> None:
 
 
 def _check_recordings(out: Path, names: set[str]) -> None:
-    """Refuse a folder with recordings of another demo: a set of records is of one actuator."""
+    """Refuse a folder with recordings of another demo, because a set of records must be of one actuator."""
     for home in sorted({name.split("/")[0] for name in names}):
         if (out / home).is_dir():
             others = sorted(p.name for p in (out / home).iterdir() if f"{home}/{p.name}" not in names)

@@ -1,4 +1,4 @@
-"""`pitp diagnose`: where recordings and a model, or a simulator, disagree, which missing effect causes it, how far."""
+"""`pitp diagnose`: reports where recordings and a model (or simulator) disagree, and which missing effect causes it."""
 
 import os
 import shlex
@@ -24,6 +24,7 @@ from .._errors import BadInput
 from .._mjcf import write_mjcf
 from .._mjcf.document import read_document
 from .._mjcf.joint import joint_of
+from .._mjcf.write import identified_name
 from .._model_file.lineage import descended
 from .._model_file.model_file import save
 from .._record.reading import read
@@ -47,49 +48,38 @@ def diagnose(
     records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
     joint=None, actuator=None, by_group=False,
 ) -> None:  # fmt: skip
-    """Diagnose, write what was asked for, and print the finding.
+    """Diagnose the recordings, write the requested files, and print the result.
 
     Args:
         records: files and folders.
         nominal: model file, identified or trained; None with `against`.
-        refit_nominal: whether its coefficients are fitted along with every effect; they are in any case where the
-            nominal was made from these recordings.
+        refit_nominal: whether its coefficients are fitted with every effect; always if the nominal was made from these
+            recordings.
         seconds: of computing, or None.
         out: folder for the augmented model, the report, its figures and the next experiment, or None.
-        json_file: where to write the finding for machines, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
-        against: recordings of a simulator in the place of a model, or None.
+        against: recordings of a simulator instead of a model, or None.
         position_gain: of the simulator's controller, with `against`.
-        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's numbers goes into `out`.
+        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's parameters is written to `out`.
         joint: list with the name of the joint in that file.
-        actuator: its actuator, where there are several.
-        by_group: diagnose the groups into which the simulator's recordings fall one by one.
+        actuator: its actuator, if there are several.
+        by_group: diagnose each group of the simulator's recordings separately.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    if against is not None and refit_nominal:
-        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
-    if against is None and position_gain is not None:
-        raise BadInput("--position-gain is for --against: it is the simulator's")
+    _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out)
     if by_group:
-        if against is None:
-            raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
         own = dict(refit_nominal=refit_nominal, seconds=seconds, reading=reading, position_gain=position_gain,
                    mjcf=mjcf, joint=joint, actuator=actuator)  # fmt: skip
         _by_group(records, against, out, json_file, reading, own)
         return
     if mjcf is not None:
-        if against is None or out is None:
-            raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
         given = joint_of(read_document(mjcf), one_joint(joint), actuator)
         if given.position and position_gain is None:
             position_gain = given.torque_per_command
-    elif joint or actuator:
-        raise BadInput("--joint and --actuator are for --mjcf XML")
-    check_outputs(json_file, folder=out, names=FILES, inputs=[nominal, *records, *(against or ())])
-    if out is not None and not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the drive's name
-        check_replaceable(csv, csv)
+    _check_places(out, json_file, mjcf, [nominal, *records, *(against or ())])
     status = StatusLine()
     options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
     if against is None:
@@ -108,35 +98,81 @@ def diagnose(
         robot, augmented = diagnosis.robot, with_lineage(diagnosis)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
-    written: set[str] = set()
-    # the result first: a failure in a figure or a sentence, or an interrupt there, loses nothing of it
-    with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
-        if out is not None:
-            write_json(stage / JSON, diagnosis.as_json(csv))
-            save(stage / MODEL, augmented)
-            _write_next(robot, stage, read_in[0].voltage_unit)
-            written |= _files_in(stage)
-    if out is not None:
-        with staged(folder=out) as stage:
-            _write_pages(diagnosis, stage)
-            written |= _files_in(stage)
+    written = _write(diagnosis, augmented, read_in[0].voltage_unit, out, json_file, csv)
     _attempt("the printed result", lambda: _print(diagnosis))
     if mjcf is not None and isinstance(diagnosis, SimToReal):
         _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
     if out is not None:
-        _tidy(Path(out), written)
-        added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
-        page_words = f"{Path(out) / REPORT}, its figures, and " if REPORT in written else ""
-        print(f"wrote {page_words}{Path(out) / MODEL} ({added})")
-        if csv is not None and robot.next_experiment is not None:
-            print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
+        _say_written(robot, Path(out), written, csv)
     if robot.interrupted:
         place = out or json_file
         raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
 
 
+def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
+    """Refuse options that contradict each other."""
+    if against is not None and refit_nominal:
+        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
+    if against is None and position_gain is not None:
+        raise BadInput("--position-gain is for --against: it is the simulator's")
+    if against is None and by_group:
+        raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
+    if mjcf is not None and (against is None or out is None):
+        raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
+    if mjcf is None and (joint or actuator):
+        raise BadInput("--joint and --actuator are for --mjcf XML")
+
+
+def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
+    """Refuse outputs that cannot be written, or that would replace the user's own files."""
+    made = [] if mjcf is None else [identified_name(mjcf)]
+    check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
+    if out is None:
+        return
+    for name in made:
+        check_replaceable(Path(out) / name, Path(out) / name)
+    if not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the name of the input file
+        check_replaceable(csv, csv)
+
+
+def _write(
+    diagnosis: Diagnosis | SimToReal, augmented, input_unit: str, out: str | None, json_file: str | None,
+    csv: str | None,
+) -> set[str]:  # fmt: skip
+    """Write the result, then its pages; return the names of the files in the folder.
+
+    The result is written first, so a failure or interrupt in a figure or sentence cannot lose it.
+    """
+    written: set[str] = set()
+    with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
+        if out is not None:
+            write_json(stage / JSON, diagnosis.as_json(csv))
+            save(stage / MODEL, augmented)
+            _write_next(_robot_of(diagnosis), stage, input_unit)
+            written |= _files_in(stage)
+    if out is not None:
+        with staged(folder=out) as stage:
+            _write_pages(diagnosis, stage)
+            written |= _files_in(stage)
+    return written
+
+
+def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
+    """Remove files of an earlier diagnosis, and print the names of the written files."""
+    _tidy(out, written)
+    added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
+    page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
+    print(f"wrote {page_words}{out / MODEL} ({added})")
+    if csv is not None and robot.next_experiment is not None:
+        print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
+
+
+def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
+    return diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
+
+
 def _by_group(records, against, out, json_file, reading, own: dict) -> None:
-    """Diagnose each group of the simulator's recordings beside the robot's recordings that are paired with it.
+    """Diagnose each group of the simulator's recordings with the robot's recordings paired with it.
 
     Raises:
         BadInput: a file holds recordings of several groups.
@@ -163,7 +199,7 @@ def _by_group(records, against, out, json_file, reading, own: dict) -> None:
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
-    """Write the changed MuJoCo file into the folder, and say what was changed and what could not be."""
+    """Write the changed MuJoCo file into the folder, and print the changes and the effects it cannot hold."""
     found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
     if found is not None:
         write_json(Path(out) / MJCF_JSON, found.as_json())
@@ -178,7 +214,7 @@ def _files_in(stage: Path) -> set[str]:
 
 
 def _attempt(what: str, make: Callable[[], T]) -> T | None:
-    """Make a part that only shows the result; report its failure, and go on without it."""
+    """Call `make` for a part that only shows the result; report a failure and continue without it."""
     try:
         return make()
     except Exception as error:
@@ -190,7 +226,7 @@ def _attempt(what: str, make: Callable[[], T]) -> T | None:
 
 
 def _is_drive(file: Path) -> bool:
-    """Whether a file is missing or a drive to play, which has a time and an input and nothing measured."""
+    """Return whether a file is missing, or has a time and an input but no measurement."""
     if not file.is_file():
         return True
     with open(file, encoding="utf-8", errors="replace") as stream:
@@ -198,7 +234,7 @@ def _is_drive(file: Path) -> bool:
 
 
 def _tidy(folder: Path, written: set[str]) -> None:
-    """Remove what an earlier diagnosis has left and this one does not have, and say so."""
+    """Remove files of an earlier diagnosis that this one did not write, and report it."""
     old = sorted(name for name in {*FILES} - written if (folder / name).is_file())
     for name in old:
         (folder / name).unlink()
@@ -207,8 +243,8 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
-    """Write the pages and their figures into an existing folder, each without those that fail."""
-    robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
+    """Write the pages and their figures into an existing folder; any that fail are reported and left out."""
+    robot = _robot_of(diagnosis)
 
     def write(name, drawing, columns=None):
         _attempt(f"the figure {name}", lambda: write_figure(folder, name, drawing, columns))
@@ -226,7 +262,7 @@ def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
 
 
 def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
-    """Write the next experiment's input, where there is one."""
+    """Write the next experiment's input, if there is one."""
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
         drive = from_base(robot.next_experiment.voltage, unit)
@@ -234,7 +270,7 @@ def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:
-    """The verdict, then the candidates, or the numbers to type into a simulator, clocks and partners."""
+    """Print the verdict, then the candidates, or the simulator's parameters, clocks and paired recordings."""
     if not isinstance(diagnosis, SimToReal):
         print(diagnosis)
         _print_ranking(diagnosis)
@@ -250,7 +286,7 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
 
 
 def _print_ranking(diagnosis: Diagnosis) -> None:
-    """The best candidates, the effects named marked *, those tied with the first =."""
+    """Print the best candidates; the reported effects are marked *, those tied with the first =."""
     rows = []
     for r in diagnosis.ranking[:_ROWS]:
         mark = " *" if r.effect in diagnosis.effects else " =" if r.effect in diagnosis.equivalent else ""

@@ -1,4 +1,4 @@
-"""A command run once per joint of a log, and its result for machines on standard output."""
+"""Run a command once per joint of a log, and print its JSON result on standard output."""
 
 import sys
 import tempfile
@@ -6,17 +6,17 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
-_NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments whose folders name no joints
+_NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments whose folders do not determine joints
 
 
 def once_per_joint(arguments: dict) -> Iterator[dict]:
     """Yield the arguments of a command: once, or for every joint with its columns and its outputs.
 
-    Joints are those of `--each NAME=INPUT,OUTPUT`, otherwise those that `each` in the `pitp.toml` of a folder names.
-    A folder gets a folder NAME for each and links to their pages, a file the name `stem.NAME.suffix`.
+    Joints come from `--each NAME=INPUT,OUTPUT`, otherwise from `each` in the `pitp.toml` of a folder. An output folder
+    gets a subfolder NAME per joint with links to the pages; an output file becomes `stem.NAME.suffix`.
 
     Args:
-        arguments: of the command; `each` is taken out.
+        arguments: of the command; `each` is removed.
 
     Raises:
         BadInput: an `--each` of another form, or two of one name.
@@ -32,28 +32,28 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
         for key in ("out", "report", "json_file"):
             if own.get(key):
                 own[key] = own_place(own[key], name)
-        if len(joints) == len(read_as):  # of a simulator's file, which holds all of them in the end
+        if len(joints) == len(read_as):  # of a simulator's file, which finally holds all of them
             own["joint"], own["mjcf"] = [joints[k]], before or arguments["mjcf"]
         print(f"== {name}")
         yield own
         if len(joints) == len(read_as) and own.get("out"):
-            from .._mjcf.write import identified_name  # loaded by the command that has just run
+            from .._mjcf.write import identified_name  # already loaded by the command that has just run
 
             made = Path(own["out"]) / identified_name(own["mjcf"])
             before = str(made) if made.is_file() else before
     for place in (arguments.get("out"), arguments.get("report")):
         if place is not None and Path(place).is_dir():
-            from .outputs import write_index  # with it comes NumPy: a mistyped option is answered without
+            from .outputs import write_index  # imported here, because it loads NumPy, which a usage error does not need
 
             write_index(Path(place), Path(place))
 
 
 def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
-    """Return the options of reading by joint; empty where neither the caller nor a folder names joints."""
+    """Return the options of reading by joint; empty if neither the caller nor a folder names joints."""
     read_from = [v for key, v in arguments.items() if key not in _NO_RECORDS]
     paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]
     folders = {p if p.is_dir() else p.parent for p in paths if p.exists()}
-    # with the table reader comes NumPy: a mistyped option is answered without
+    # imported here, because the table reader loads NumPy, which a usage error does not need
     if said or any((folder / "pitp.toml").is_file() for folder in folders):
         from .._table.options import joints_in, joints_of
     else:
@@ -66,14 +66,14 @@ def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
 
 
 def own_place(path: str, name: str) -> str:
-    """Where one joint is written: a file beside, or a folder below."""
+    """Return the output path of one joint: a file in the folder of the given one, or a subfolder."""
     given = Path(path)
     return str(given.with_name(f"{given.stem}.{name}{given.suffix}") if given.suffix else given / name)
 
 
 @contextmanager
 def json_to_standard_output(arguments: dict) -> Iterator[None]:
-    """With `--json -` the result for machines is standard output, and what is said to people goes to standard error."""
+    """With `--json -`, print the JSON result on standard output, and all messages on standard error."""
     if arguments.get("json_file") not in ("-", "/dev/stdout"):
         yield
         return
@@ -82,6 +82,6 @@ def json_to_standard_output(arguments: dict) -> Iterator[None]:
         try:
             with redirect_stdout(sys.stderr):
                 yield
-        finally:  # a command whose records all diverged fails after it has written
+        finally:  # a command fails after writing if all its records diverged
             for file in sorted(Path(folder).glob("*.json")):
                 sys.stdout.write(file.read_text(encoding="utf-8"))

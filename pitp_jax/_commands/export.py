@@ -1,4 +1,4 @@
-"""`pitp export`: a model and its inverse for the rig, as C99, as an FMU or as MATLAB functions."""
+"""`pitp export`: writes a model and its inverse for the rig, as C99, as an FMU or as MATLAB functions."""
 
 from dataclasses import asdict
 
@@ -10,7 +10,7 @@ from .outputs import check_outputs, write_json
 
 
 def export(model, to, out, steps, precision, time_constant, fmi, name, json_file=None) -> None:
-    """Write the folder and say what is in it.
+    """Write the folder and print its contents.
 
     Args:
         model: model file.
@@ -21,7 +21,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
         time_constant: of the closed loop of C's PI steps, s, or None.
         fmi: version of the FMU's interface, or None.
         name: of files and functions.
-        json_file: where to write what was made for machines, or None.
+        json_file: where to write a description as JSON, or None.
 
     Raises:
         BadInput: with nothing written.

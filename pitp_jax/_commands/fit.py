@@ -1,4 +1,4 @@
-"""`pitp fit`: records to a trained model."""
+"""`pitp fit`: trains a model on records."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -29,7 +29,7 @@ from .reports import listed, print_history
 def fit(
     records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None
 ) -> int:
-    """Train, write the model file, and print how it went and how every record is fitted.
+    """Train, write the model file, and print the history and the error of every record.
 
     Args:
         records: files and folders; all of them train.
@@ -42,15 +42,15 @@ def fit(
         seed: of the random start.
         report: folder for a page on the fit, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
-        cross_validate: whether every record is also predicted by a model of the others.
-        json_file: where to write the errors for machines, or None.
+        cross_validate: whether every record is also predicted by a model trained on the others.
+        json_file: where to write the errors as JSON, or None.
 
     Returns:
-        3 where the model explains nothing of the output, 0 otherwise.
+        3 if the model explains nothing of the output, otherwise 0.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
-        KeyboardInterrupt: interrupted; the best complete model is written where a stage was complete.
+        KeyboardInterrupt: interrupted; the best complete model is written if a stage was complete.
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None
@@ -103,8 +103,8 @@ def fit(
 
 
 def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:
-    """The page of free runs beside the training records."""
-    from .fit_page import fit_page  # with it comes matplotlib: half a second
+    """Write the page of free runs with the training records."""
+    from .fit_page import fit_page  # imported here, because matplotlib takes half a second
 
     runs = predict(model, records)
     scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
@@ -113,7 +113,7 @@ def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) ->
 
 
 def _given(path: str, order, input_map) -> Fitted:
-    """The nominal model of that file, unless the options contradict it."""
+    """Return the nominal model of that file, unless the options contradict it."""
     model = load(path)
     if order not in (None, "auto", model.order):
         raise BadInput(f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out")
@@ -123,7 +123,7 @@ def _given(path: str, order, input_map) -> Fitted:
 
 
 def _identified(records, order, input_map) -> Identification:
-    """A nominal from the sweeps among the records, else from all."""
+    """Return a nominal identified on the sweeps among the records, otherwise on all."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} records: {listed([r.name for r in sweeps])}")

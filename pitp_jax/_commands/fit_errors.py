@@ -1,4 +1,4 @@
-"""What a training leaves of every record: under the nominal, the trained model, and models of the other records."""
+"""Errors of every record: of the nominal, of the trained model, and of models of the other records."""
 
 from collections.abc import Sequence
 from statistics import median
@@ -12,18 +12,18 @@ from .._train.cross_validation import HeldOut
 from .._train.errors import RecordError
 from .console import number, print_table
 
-_HALF = 0.5  # of what identification leaves
+_HALF = 0.5  # of the identification's residual
 
 
 def explained(
     errors: Sequence[RecordError], records: Sequence[Record], first: Identification | None
 ) -> tuple[bool, str | None]:
-    """Return whether a trained model explains anything of its records, and a sentence where it explains little.
+    """Return whether a trained model explains its records at all, and a warning if it explains little.
 
     Args:
         errors: of the trained model.
         records: it was trained on.
-        first: the identification that it started from, or None where a nominal was given.
+        first: the identification that it started from, or None if a nominal was given.
     """
     own, missed, moved = {r.name: r for r in records}, 0.0, 0.0
     for e in errors:
@@ -31,7 +31,7 @@ def explained(
         missed += len(y) * (e.trained / 100 * own[e.name].span) ** 2
         moved += len(y) * float(np.var(y))
     left = float(np.sqrt(missed / max(moved, 1e-300)))
-    # training may explain what a linear model cannot, and then leaves much less
+    # training may explain effects that a linear model cannot, and then has a much smaller error
     if first is not None and not first.explains and left > _HALF * first.chosen.heldout / 100:
         return False, first.warning
     text = f"{100 * left:.0f} % of the output's rms is left on the training records"
@@ -43,7 +43,7 @@ def explained(
 
 
 def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> None:
-    """Every training record under the nominal, the trained model and, where there is one, a model of the others."""
+    """Print the errors of every record: of the nominal, the trained model and, if given, a model of the others."""
     rows: list[tuple[str, ...]] = [(e.name, number(e.nominal, 3), number(e.trained, 3)) for e in errors]
     header = ("record, e_rms in % of range", "nominal", "trained")
     if held_out:
@@ -55,7 +55,7 @@ def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> 
 
 
 def suspects(held_out: Sequence[HeldOut]) -> list[str]:
-    """A line for every record that models of the others do not predict."""
+    """Return a line for every record that models of the others do not predict."""
     return [
         f"{h.name}: {h.problem or f'predicted {h.predicted / h.fitted:.0f} times worse than fitted'}"
         "; it holds what no other record does: take another like it"
@@ -65,7 +65,7 @@ def suspects(held_out: Sequence[HeldOut]) -> list[str]:
 
 
 def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
-    """The same for machines."""
+    """Return the errors of every record for JSON."""
     predicted = {h.name: {"left_out_e_rms_percent": h.predicted, "problem": h.problem or None} for h in held_out}
     rows = {
         e.name: {"nominal_e_rms_percent": e.nominal, "trained_e_rms_percent": e.trained, **predicted.get(e.name, {})}

@@ -1,6 +1,6 @@
-"""The page of a fit: what a colleague looks at first, free runs beside their records.
+"""The page of a fit: free runs with their records, errors, tokens and spectra.
 
-e_rms by drive frequency and stroke,   tokens sigma_i(x) / a_i at standstill over the stroke,
+e_rms by input frequency and stroke,   tokens sigma_i(x) / a_i at standstill over the stroke,
 time constants of the memory,   spectrum of predicted - measured beside the measured one
 """
 
@@ -28,18 +28,18 @@ from .._report.numbers import figure, shown_unit
 from .._simulate.prediction import Prediction, predict
 from .._table.units import from_base
 
-_KNOWN = 0.5  # standard error of ln tau above which a time constant is a guess
+_KNOWN = 0.5  # standard error of ln tau above which a time constant counts as unknown
 _SHOWN = 12  # records drawn, the worst first
 
 
 def fit_page(
     model: Fitted, records: Sequence[Record], predictions: Sequence[Prediction], scores: dict, name: str
 ) -> str:
-    """A self-contained HTML page.
+    """Return a self-contained HTML page on the fit.
 
     Args:
-        model: what was fitted.
-        records: it was run beside.
+        model: the fitted model.
+        records: compared with its free runs.
         predictions: its free runs, one a record.
         scores: rows of `pitp predict`, by the record's name.
         name: of the model file.
@@ -90,7 +90,8 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     moved = [p.name for p in predictions if p.begins != "rest"]
     farthest = max(predictions, key=lambda p: p.outside_training_share)
     where = f", most in {farthest.name}: {farthest.outside_training}" if farthest.outside_training else ""
-    lines = [f"{figure(outside, 2)} % of the samples lie outside the trained region{where}."]
+    lines = [f"{figure(outside, 2)} % lie outside the trained region{where}."]
+    lines += [f"{p.name}: {p.not_excited}" for p in predictions if p.not_excited][:3]
     lines += [f"{len(moved)} of {len(predictions)} do not begin at rest."] if moved else []
     lost = sum(p.diverged for p in predictions)
     nrmse = [row["nrmse_percent"] for row in scores.values() if row["nrmse_percent"] is not None]
@@ -113,12 +114,13 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
 
 
 def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
-    """List the time constants, and mark those that the records do not determine.
+    """Return the time constants as text, with a mark for those that the records do not determine.
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
 
-    The error is coloured: its lag-1 correlation r leaves (1 - r) / (1 + r) of the samples independent. The network is
-    held, although it can compensate for a change of a time constant: such errors are too small to be shown.
+    The error is coloured: with its lag-1 correlation r, only (1 - r) / (1 + r) of the samples are independent. The
+    network is held fixed, although it can compensate for a changed time constant: such errors are too small to be
+    shown.
     """
     memory, step = model.memory, 0.05
     if not isinstance(memory, FadingMemory | RingingMemory):
@@ -159,7 +161,7 @@ def _run(record: Record, run: Prediction) -> Figure:
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
-    """A dot a record, its colour the kind of drive, its error written beside it."""
+    """Draw one dot per record, coloured by the kind of input, with its error as text."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit = records[0].displacement_unit
     kinds = [kind(r) for r in records]
@@ -178,7 +180,7 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
 
 
 def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
-    """Median densities over records of one sampling rate."""
+    """Draw median densities over records of one sampling rate."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit, size = pairs[0][0].displacement_unit, min(4096, *(r.samples for r, _ in pairs))
     for color, label, signal in (
@@ -196,7 +198,7 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
 
 
 def _tokens(model: Fitted) -> Figure:
-    """Factors of all tokens over the trained displacements."""
+    """Draw the factors of all tokens over the trained displacements."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     low, high = model.domain.region[0]
     x = jnp.linspace(low, high, 60)

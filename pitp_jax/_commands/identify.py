@@ -1,4 +1,4 @@
-"""`pitp identify`: records to a linear model of the right order."""
+"""`pitp identify`: fits a linear model of the right order to records."""
 
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
@@ -23,14 +23,14 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         out: model file to write.
         order: 1 to 6 or "auto".
         input_map: "square" or "linear".
-        learn, leave_out: ("delay",) to keep a pure delay in any case, or to do without.
-        validate: files and folders of records that the model is only run on.
+        learn, leave_out: ("delay",) to fit a pure delay in any case, or never.
+        validate: files and folders of records used only for validation.
         report: folder for the Bode page, or None.
-        json_file: where to write the result for machines, or None.
+        json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Returns:
-        3 where the model explains nothing of the held-out output, 0 otherwise.
+        3 if the model explains nothing of the held-out output, otherwise 0.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
@@ -53,7 +53,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     with staged(file=out, json_file=json_file, value=value) as stage:
         save(stage, identified.model)
     if report is not None:
-        from .bode_page import bode_page  # with it comes matplotlib: half a second
+        from .bode_page import bode_page  # imported here, because matplotlib takes half a second
 
         with staged(folder=report) as stage:
             write_text_atomic(stage / REPORT, bode_page(identified, out))
@@ -74,7 +74,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
 
 
 def print_orders(identified: Identification, unit: str) -> None:
-    """The compared orders, the chosen one marked."""
+    """Print the compared orders, the chosen one marked."""
     rows = [
         (
             f"{fit.order}{' *' if fit.order == identified.chosen.order else ''}",
@@ -92,7 +92,7 @@ def print_orders(identified: Identification, unit: str) -> None:
 
 
 def delay_text(identified) -> str:
-    """Write the delay with the hold for which it is stated, and what the other hold would make of it."""
+    """Return the delay as text, with its hold and the delay under the other hold."""
     delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
     half = 500 * identified.model.dt
     if identified.model.hold == "zoh":

@@ -1,4 +1,4 @@
-"""`pitp info`: what a model file holds and where it came from."""
+"""`pitp info`: reports the content and the origin of a model file."""
 
 from .._errors import BadInput
 from .._model.fitted import Fitted
@@ -10,12 +10,12 @@ from .reports import print_model
 
 
 def info(model, others, json_file) -> None:
-    """Print a model's order, coefficients, modes, history and line of descent.
+    """Print a model's order, coefficients, modes, history and lineage.
 
     Args:
         model: model file.
-        others: further files, of which there must be none.
-        json_file: where to write the same for machines, or None.
+        others: further files; must be empty.
+        json_file: where to write the same as JSON, or None.
 
     Raises:
         BadInput: not a usable model file, or more than one.
@@ -31,7 +31,7 @@ def info(model, others, json_file) -> None:
 
 
 def traced(model: Fitted) -> dict:
-    """`describe`, the file's digest, what it was adapted to, and its line of descent."""
+    """Return `describe`, the file's digest, its adaptations, and its lineage."""
     origin = model.origin
     return {
         **describe(model),
@@ -42,7 +42,7 @@ def traced(model: Fitted) -> dict:
 
 
 def print_lineage(summary: dict) -> None:
-    """Every step with the sums of what it saw."""
+    """Print every step of the lineage with the checksums of its recordings."""
     for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
             low, high = c["ci95"]

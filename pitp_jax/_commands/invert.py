@@ -1,4 +1,4 @@
-"""`pitp invert`: a wanted trajectory to the voltage that makes it, as the rig's DAQ plays it."""
+"""`pitp invert`: computes the voltage for a wanted trajectory, at the rate of the rig's DAQ."""
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_outputs, staged
 
-_ROUNDING = 0.01  # % of range: what a rollout in single precision and a plan by the same model agree to
+_ROUNDING = 0.01  # % of range: agreement of a single-precision rollout with a plan by the same model
 
 
 def invert(
@@ -33,12 +33,12 @@ def invert(
         out: CSV to write; its clock starts at 0.
         max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
         max_displacement: limit from the position at 0 V, or None.
-        zero: "rest", "sensor", or what the target is at 0 V, in its own unit.
+        zero: "rest", "sensor", or the target's value at 0 V, in its own unit.
         start_input: at the first and last sample, or None for 0.
         rate: at which the input is played, Hz, or None for the target's.
         unit: of the input written, or None for V or that of the model's records.
-        input_scale: what the amplifier makes of one unit played; the input is divided by it.
-        json_file: where to write the counts for machines, or None.
+        input_scale: amplifier gain, by which the input is divided.
+        json_file: where to write the counts as JSON, or None.
         reading: keyword arguments of `pitp.read_target`: columns, units, scale.
 
     Raises:
@@ -89,7 +89,7 @@ def invert(
 
 
 def _unit_to_write(unit: str | None, units: Units) -> Quantity:
-    """Return the input in the unit that is asked for.
+    """Return the input in the requested unit.
 
     Raises:
         BadInput: a unit of another kind.
@@ -110,7 +110,7 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     own = float(planned.time[np.argmax(planned.target)])
     print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
-    # a smaller error only shows that the inversion inverts, not how well the rig will track
+    # a smaller error only shows that the inversion is correct, not how well the rig will track
     if planned.self_check_e_rms_percent >= _ROUNDING:
         print(
             f"self-check (the model's own rollout, not a prediction of tracking): error "

@@ -1,6 +1,7 @@
-"""Which files an output may replace: what pitp wrote, and nothing of the user's.
+"""Decide which files an output may replace: only those that pitp wrote.
 
-ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    what lies beside a page of ours
+ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    a MuJoCo file with our comment,
+         files beside a page of ours
 """
 
 import re
@@ -13,34 +14,36 @@ from .._errors import BadInput
 _FORCED: ContextVar[bool] = ContextVar("forced", default=False)
 _HEAD = 4096  # bytes
 _BEGINS = (b"pitp_jax model ", b'{\n  "written_by": "pitp_jax ')
+_IDENTIFIED = b"<!-- pitp: numbers identified"  # in a MuJoCo file
 _RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 
 def allow_overwriting(forced: bool) -> None:
-    """Say whether `--force` was given."""
+    """Store whether `--force` was given."""
     _FORCED.set(forced)
 
 
 def check_replaceable(file: Path, shown: object) -> None:
-    """Refuse to replace a file that is not ours.
+    """Refuse to replace a file that pitp did not write.
 
     Args:
-        file: what would be replaced, if it exists.
+        file: the file to be replaced, if it exists.
         shown: its name for the message.
 
     Raises:
-        BadInput: it is somebody's, and `--force` was not given.
+        BadInput: it was not written by pitp, and `--force` was not given.
     """
     if _FORCED.get() or not file.is_file():
         return
     with open(file, "rb") as stream:
         head = stream.read(_HEAD)
-    if head and not head.startswith(_BEGINS) and not _RESULT.match(head.partition(b"\n")[0]):
+    ours = head.startswith(_BEGINS) or _RESULT.match(head.partition(b"\n")[0]) or _IDENTIFIED in head
+    if head and not ours:
         raise BadInput(f"{shown}: exists and was not written by pitp; choose another name, or --force replaces it")
 
 
 def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) -> None:
-    """Refuse to write records and a page over somebody's files of the same names, where no page of ours lies beside.
+    """Refuse to replace a user's files of the same names in a folder without a page of pitp.
 
     Args:
         folder: to be written to.
@@ -48,7 +51,7 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
         shown: the folder for the message.
 
     Raises:
-        BadInput: with the first file that is not ours.
+        BadInput: with the first file that pitp did not write.
     """
     names = list(names)
     pages = [folder / name for name in names if name.endswith(".html")]
@@ -60,5 +63,5 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
 
 
 def is_page(file: Path) -> bool:
-    """Whether a file is a page that pitp wrote."""
+    """Return whether a file is a page that pitp wrote."""
     return file.is_file() and b"--ink" in file.read_bytes()[:_HEAD]

@@ -1,6 +1,6 @@
-"""Output files: checked before the work, written whole or not at all after it.
+"""Output files: checked before the computation, written completely or not at all after it.
 
-check_outputs   before hours of work: is there a place to write to, and does it replace nothing that is read?
+check_outputs   before the computation: the place can be written to, and no input file is replaced
 staged          hidden files beside the wanted ones -> renamed once every one is written; a page gets its index.html
 write_json      never NaN or Infinity: null
 """
@@ -24,7 +24,7 @@ from .._errors import BadInput
 from .._record.writing import is_stream, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
 
-REPORT, INDEX = "report.html", "index.html"  # the page beside what a command writes, and the links to all pages
+REPORT, INDEX = "report.html", "index.html"  # the page of a command's output, and the links to all pages
 
 
 def check_outputs(
@@ -37,9 +37,9 @@ def check_outputs(
 
     Args:
         *files: to be written; None is skipped.
-        folder: to be created (with its parents) where it is missing, or None.
+        folder: to be created (with its parents) if missing, or None.
         names: of the files to be written in it.
-        inputs: files that are read, and folders whose files are; None is skipped.
+        inputs: files and folders to be read; None is skipped.
 
     Raises:
         BadInput: with the path and the remedy.
@@ -88,12 +88,12 @@ def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
 def staged(
     *, file: str | None = None, folder: str | os.PathLike | None = None, json_file: str | None = None, value: Any = None
 ) -> Iterator[Path]:
-    """Yield a hidden place for what a command writes: with its JSON all of it appears, or on any failure nothing.
+    """Yield a hidden path for a command's output; all of it appears at the end, or nothing after a failure.
 
     Args:
         file: wanted file, whose hidden name is yielded; a device is written to directly.
         folder: wanted folder in its place, whose hidden stage is yielded; its other files stay.
-        json_file: where `value` goes for machines, or None.
+        json_file: where to write `value` as JSON, or None.
         value: dicts, lists and numbers.
 
     Raises:
@@ -148,13 +148,13 @@ def _staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
         raise BadInput(f"cannot write to {folder}: {error.strerror or error}; choose another place") from None
     finally:
         shutil.rmtree(stage, ignore_errors=True)
-        for path in made:  # the deepest first; only what is still empty
+        for path in made:  # the deepest first; only empty ones
             if path.is_dir() and not any(path.iterdir()):
                 path.rmdir()
 
 
 def write_index(folder: Path, stage: Path) -> None:
-    """Write `index.html`, which links the pages of a folder and of the folders in it; somebody else's index stays.
+    """Write `index.html` with links to the pages of a folder and its subfolders; a user's own index stays.
 
     Args:
         folder: where the pages are to be.
@@ -172,7 +172,7 @@ def write_index(folder: Path, stage: Path) -> None:
     }
     index = folder / INDEX
     if pages and (not index.exists() or is_page(index)):
-        from .._report import html  # with it comes matplotlib: half a second
+        from .._report import html  # imported here, because matplotlib takes half a second
 
         titles = {
             name: re.search("<title>(.*?)</title>", path.read_text(encoding="utf-8")) for name, path in pages.items()
@@ -186,9 +186,9 @@ def _missing_parents(target: Path) -> list[Path]:
 
 
 def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) -> None:
-    """Write a result for machines, whole or not at all, unless the path is None; what is not finite becomes null.
+    """Write a result as JSON, completely or not at all, unless the path is None; non-finite values become null.
 
-    Its first key, `written_by`, tells it from files of others.
+    Its first key, `written_by`, identifies files of pitp.
 
     Raises:
         BadInput: the file cannot be written.
@@ -199,7 +199,7 @@ def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) 
 
 
 def without_nan(value: Any) -> Any:
-    """Values as JSON has them: NumPy's become Python's, nan and infinity None."""
+    """Return values for JSON: NumPy's become Python's, nan and infinity None."""
     if isinstance(value, dict):
         return {str(k): without_nan(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

@@ -1,7 +1,7 @@
-"""Turn the command that a refusal proposes into the one that was run.
+"""Convert the command that a refusal proposes into the command that was run.
 
 ...; try: pitp check FILE --option VALUE        ->  try: pitp identify FILE --out M --option VALUE
-of two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
+for two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
 """
 
 import json
@@ -17,7 +17,7 @@ _OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
 
 
 def own_command(text: str, argv: Sequence[str]) -> str:
-    """Rewrite the command at the end of a refusal; the text stays where the own command would be too long."""
+    """Return a refusal with its command rewritten, or unchanged if the new command would be too long."""
     head, mark, command = text.rpartition(_MARK)
     if not mark or not argv or argv[0] == "check":
         return text
@@ -31,14 +31,14 @@ def own_command(text: str, argv: Sequence[str]) -> str:
         keys = "; ".join(f"{option[2:]} = {_value(option, values)}" for option, *values in by_option(options))
         whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
     else:
-        # a name with control characters is not obeyed by the terminal: such a command has to be typed anew
+        # A name with control characters is printed cleaned, so its command must be typed anew.
         words = ["pitp", *_without(argv, [group[0] for group in by_option(options)]), *options]
         whole = f"{head}; try: {shlex.join(map(cleaned, words))}"
     return whole if len(whole) <= _LONGEST else text
 
 
 def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return the arguments without these options and their values: an option given twice is refused."""
+    """Return the arguments without these options and their values, because a repeated option is refused."""
     words, k = [], 0
     while k < len(argv):
         if argv[k] in names:
@@ -53,7 +53,7 @@ def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
 
 
 def _value(option: str, values: Sequence[str]) -> str:
-    """Return the value of an option as TOML; joined files lie in the folder."""
+    """Return the value of an option as TOML; joined files are in the folder."""
     if option == "--join":
         return json.dumps([os.path.basename(value) for value in values], ensure_ascii=False)
     return json.dumps(values[0], ensure_ascii=False)

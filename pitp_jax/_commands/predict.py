@@ -1,4 +1,4 @@
-"""`pitp predict`: a model's free run beside every record, and how far the two are apart."""
+"""`pitp predict`: runs a model freely for every record and reports the errors."""
 
 import math
 import statistics
@@ -22,18 +22,18 @@ from .reports import print_sensors
 
 
 def predict(model, records, out, json_file, reading) -> None:
-    """Predict, write what was asked for, and print the scores.
+    """Predict, write the requested files, and print the scores.
 
     Args:
         model: model file.
         records: files and folders.
         out: folder for one CSV per record and a page, or None.
-        json_file: where to write the scores for machines, or None.
+        json_file: where to write the scores as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: every record diverged; the results, which say so, are written.
+        ComputationFailed: every record diverged; the results are written.
     """
     check_outputs(json_file, folder=out, inputs=[model, *records])
     loaded, read_in = open_both(model, records, reading)
@@ -44,7 +44,7 @@ def predict(model, records, out, json_file, reading) -> None:
     result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
     with staged(folder=out, json_file=json_file, value=result) as stage:
         if out is not None:
-            from .fit_page import fit_page  # with it comes matplotlib: half a second
+            from .fit_page import fit_page  # imported here, because matplotlib takes half a second
 
             for record, prediction, file in zip(read_in, predictions, files, strict=True):
                 _write_record(stage / file, record, prediction)
@@ -58,7 +58,7 @@ def predict(model, records, out, json_file, reading) -> None:
 
 
 def score(record: Record, prediction: Prediction) -> dict:
-    """One record's row of the result; a diverged one has no figures.
+    """Return one record's row of the result; a diverged one has no figures.
 
     `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
     the ones the initial state was estimated from. `rmse` is in the record's own unit.
@@ -97,7 +97,7 @@ def _finite(value: float) -> float | None:
 
 
 def median_e_rms(rows: Sequence[dict]) -> float | None:
-    """Over records, a diverged one as infinite; None where it is infinite or no record has a figure."""
+    """Return the median over records, a diverged one as infinite; None if it is infinite or no record has a figure."""
     values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
     values = [value for value in values if value is not None]
     return _finite(statistics.median(values)) if values else None
@@ -116,9 +116,9 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
 
 
 def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:
-    """Zeros and directions; one group of zeros where none is farther from their middle than it may be.
+    """Return initial states with grouped offsets: one group if none is farther from their median than its tolerance.
 
-    A zero may be off by 4 standard errors and 0.2 % of the record's range; one that was not read says nothing.
+    The tolerance is 4 standard errors and 0.2 % of the record's range; an unknown offset is ignored.
     """
     known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
     middle, begun = float(np.median(known)) if known else 0.0, {}
@@ -152,6 +152,8 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     for p in predictions:
         if p.outside_training:
             print(f"{p.name}: outside the trained region: {p.outside_training}")
+        if p.not_excited:
+            print(f"{p.name}: {p.not_excited}")
         if p.estimated_start:
             used = int((~p.scored).sum())
             print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")

@@ -1,4 +1,4 @@
-"""Recordings for a command: read, and what was recognised told in a line per kind of file."""
+"""Read the recordings of a command, and report what was recognised, one line per kind of file."""
 
 from collections.abc import Sequence
 
@@ -14,7 +14,7 @@ from .console import say
 
 
 def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[Record, ...]:
-    """Read records, and say what was recognised in them, what was masked, and what looks wrong.
+    """Read records, and report what was recognised, what was masked, and what looks wrong.
 
     Args:
         paths: files and folders.
@@ -34,7 +34,7 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
 
 
 def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted, tuple[Record, ...]]:
-    """Load a model and read records, as `read_records` does, that it can be about.
+    """Load a model and read records that can belong to it, as `read_records` does.
 
     Args:
         model: model file.
@@ -42,7 +42,7 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
         reading: keyword arguments of `pitp.read`.
 
     Raises:
-        BadInput: one cannot be read, or they do not suit each other.
+        BadInput: one cannot be read, or they do not belong together.
     """
     loaded = load(model)
     read_in = read_records(records, reading, square=is_square(loaded))
@@ -51,15 +51,15 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
 
 
 def warn(records: Sequence[Record]) -> None:
-    """The cheap part of `pitp check` on standard error, for commands that fit."""
-    from .._check.one_record import quick_problems  # with it comes all that identifies: a third of what a command loads
+    """Print the fast warnings of `pitp check` on standard error, for commands that fit."""
+    from .._check.one_record import quick_problems  # imported here: a third of a command's modules
 
     for line in quick_problems(records):
         say(f"warning: {line}")
 
 
 def recognised(records: Sequence[Record]) -> list[str]:
-    """A line for every kind of file among the records, then one for every kind of remark."""
+    """Return a line for every kind of file among the records, then one for every kind of remark."""
     kinds: dict[str, list[str]] = {}
     remarks: list[Remark] = []
     for record in records:
@@ -78,5 +78,5 @@ def _some(names: Sequence[str]) -> str:
 
 
 def is_square(model: Fitted) -> bool:
-    """Whether a model's force is the square of the voltage."""
+    """Return whether a model's force is the square of the voltage."""
     return isinstance(model.input_map, SquareInput)

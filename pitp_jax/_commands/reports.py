@@ -1,4 +1,4 @@
-"""What `identify`, `fit` and `info` print about a model."""
+"""Text about a model that `identify`, `fit` and `info` print."""
 
 import math
 
@@ -12,7 +12,7 @@ from .console import number, print_table
 
 
 def print_model(model: Fitted, summary: dict) -> None:
-    """Print a model: its `describe` and what its sensor reads."""
+    """Print a model: its `describe` and its sensor's offset and direction."""
     units = units_of(model)
     print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
     if summary["fallback"]:
@@ -57,7 +57,7 @@ def _print_training(summary: dict) -> None:
 
 
 def print_history(history) -> None:
-    """Losses per stage of training, one line per entry, whatever the entry holds."""
+    """Print losses per stage of training, one line per entry, whatever its keys."""
     for entry in history:
         parts = [f"{k} {_short(v)}" for k, v in entry.items() if k != "stage"]
         print(f"  stage {entry.get('stage', '?')}: {', '.join(parts)}")
@@ -70,7 +70,7 @@ def _short(value) -> str:
 
 
 def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
-    """What begins otherwise than at rest, and the zeros and directions that differ from those of most records."""
+    """Print records that do not start at rest, and offsets and directions that differ from most records."""
     for kind, line in (
         ("held", "begin settled at a held drive: {}"),
         ("moving", "start moving: {}; their initial states were estimated"),
@@ -86,7 +86,7 @@ def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
 
 
 def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
-    """Which records were read against the motion, and their zeros where these differ."""
+    """Print the records with a reversed sensor, and sensor offsets that differ between records."""
     if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
         print(f"reversed sensor (reads less as the actuator extends): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
@@ -99,6 +99,6 @@ def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
 
 
 def listed(names, most: int = 4) -> str:
-    """`3 records (a, b, c)`, the first few by name."""
+    """Return `3 records (a, b, c)`, the first few by name."""
     shown = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
     return f"{len(names)} record{'' if len(names) == 1 else 's'} ({shown})"

@@ -1,4 +1,4 @@
-"""`pitp simulate`: what a model does under voltages that nobody has measured."""
+"""`pitp simulate`: computes the displacement of a model under given voltages."""
 
 import math
 from collections.abc import Sequence
@@ -8,6 +8,7 @@ import numpy as np
 
 from .._errors import ComputationFailed
 from .._model.coordinate import Zero
+from .._model.coverage import input_beyond, input_words
 from .._model.fitted import Fitted
 from .._model.units import units_of
 from .._model_file.model_file import load
@@ -21,19 +22,19 @@ from .outputs import check_outputs, staged
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
-    """Simulate, write what was asked for, and print the ranges.
+    """Simulate, write the requested files, and print the ranges.
 
     Args:
         model: model file.
         voltages: files and folders of time and voltage.
-        out: folder for one CSV per drive, or None.
+        out: folder for one CSV per voltage, or None.
         zero: "rest", "sensor", or the displacement at 0 V, in the unit of the model's records.
-        json_file: where to write the ranges for machines, or None.
+        json_file: where to write the ranges as JSON, or None.
         reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: every run diverged; the results, which say so, are written.
+        ComputationFailed: every run diverged; the results are written.
     """
     check_outputs(json_file, folder=out, inputs=[model, *voltages])
     loaded = load(model)
@@ -45,7 +46,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     unit = output.unit
     at_rest: Zero = zero if zero in ("rest", "sensor") else float(output.base(zero))
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
-    rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
+    rows = {d.name: _row(loaded, d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
             for drive, x, file in zip(drives, runs, files, strict=True):
@@ -60,7 +61,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """What was recognised, and what of it the model was not made for."""
+    """Print what was recognised, and the voltages outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)
@@ -78,6 +79,8 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
                 f"warning: {drive.name} plays {played}; {path} was made from {seen}. It leaves that range by "
                 f"{100 * times:.2g} % of its width, where the model is an extrapolation"
             )
+        if words := input_words(model, input_beyond(model, drive.voltage, drive.dt)):
+            say(f"warning: {drive.name}: {words}")
         if drive.voltage[0] != 0:
             say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
 
@@ -86,7 +89,7 @@ def _range(values: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
+def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
     shown = from_base(x[np.isfinite(x)], unit)
     return {
         "samples": len(x),
@@ -95,6 +98,7 @@ def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
         "highest": float(shown.max()) if len(shown) else math.nan,
         "unit": unit,
         "diverged": bool(np.isnan(x).any()),
+        "outside_training_share": input_beyond(model, drive.voltage, drive.dt).fraction,
     }
 
 

@@ -1,9 +1,10 @@
-"""`pitp verify`: the gap between a robot and its MuJoCo model, before and after the file was changed."""
+"""`pitp verify`: compares a robot with its MuJoCo model before and after a change of the file."""
 
 from .._errors import BadInput, ComputationFailed
 from .._mjcf import Verification, verify_mjcf
-from .._mjcf.page import page
+from .._mjcf.page import figures, page
 from .._record.writing import write_csv, write_text_atomic
+from .._report.drawn import write_picture
 from .._table.units import from_base
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
@@ -11,22 +12,22 @@ from .recordings import read_records
 
 
 def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, reading) -> None:
-    """Play the recordings' commands in MuJoCo, write what was asked for, and print the gaps.
+    """Play the recordings' commands in MuJoCo, write the requested files, and print the gaps.
 
     Args:
         records: files and folders: recordings that the diagnosis used.
         mjcf: the changed file.
         before: the file as it was, or None.
         joint: list with its name.
-        actuator: its name, where several drive the joint.
+        actuator: its name, if several act on the joint.
         held_out: files and folders of recordings that the diagnosis did not use.
-        out: folder for one CSV per record and a page, or None.
+        out: folder for a page, and one CSV and one figure per record, or None.
         json_file: where to write the gaps for machines, or None.
         reading: keyword arguments of `pitp.read`.
 
     Raises:
         BadInput: with nothing written.
-        ComputationFailed: the changed file is not better beyond the noise; the results, which say so, are written.
+        ComputationFailed: the changed file is not better beyond the noise; the results are written.
     """
     inputs = [mjcf, before, *records, *held_out]
     check_outputs(json_file, folder=out, inputs=inputs)
@@ -44,14 +45,17 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
                 series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
-            write_text_atomic(stage / REPORT, page(found))
+            drawn = figures(found)
+            for name, drawing in drawn.items():
+                write_picture(stage, name.lstrip("/"), drawing)
+            write_text_atomic(stage / REPORT, page(found, drawn))
     _print(found)
     if found.better is False:
         raise ComputationFailed(f"{mjcf} is not better than {before} beyond the noise; keep the old file")
 
 
 def one_joint(joint: list[str] | None) -> str:
-    """Return the one joint that was named.
+    """Return the only joint named.
 
     Raises:
         BadInput: none or several.

@@ -1,4 +1,4 @@
-"""Comparison: two models, two diagnoses or two sets of records in; what differs beyond both intervals out.
+"""Comparison: finds the differences between two models, two diagnoses or two sets of records beyond their intervals.
 
     differs:  |b - a| > 1.96 sqrt(s_a^2 + s_b^2)
 

@@ -3,8 +3,8 @@
     rho(k) = sum_i (a_i - mean a) (b_{i+k} - mean b) / (T_k std a std b)      over the T_k samples that overlap at lag k
     offset = argmin_d sum_t (a(t) - s b(t - d))^2                             Gauss-Newton on interpolated samples
 
-Of several lags that fit alike (a sine repeats every period) the one with the longest overlap is taken. The sign s is -1
-for a mirrored axis: there the smallest rho counts in place of the largest.
+Of several lags that fit equally well (a sine repeats every period) the one with the longest overlap is taken. The sign
+s is -1 for a mirrored axis: there the smallest rho counts in place of the largest.
 """
 
 from dataclasses import dataclass
@@ -14,23 +14,23 @@ from scipy.signal import correlate
 
 from .._record.record import Record
 
-ALIKE = 0.99  # correlation from which two commands are the same one
-_SAME_SIZE = 0.1  # relative difference of amplitude up to which two commands are the same one
+ALIKE = 0.99  # correlation from which two commands count as equal
+_SAME_SIZE = 0.1  # relative difference of amplitude up to which two commands count as equal
 _OVERLAP = 0.5  # of the shorter recording, at least
 _COARSE = 8192  # samples of the first search for the lag
-_EQUAL = 2e-3  # correlations that differ by less are equal: noise of a logged command does that to one lag
+_EQUAL = 2e-3  # correlations that differ by less are equal: noise of a logged command changes a lag's value by as much
 _WORTH_REFINING = 0.7  # half a sample of lag turns a sine of four samples a period by 45 degrees
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How one command lies on another.
+    """The alignment of one command with another.
 
     Attributes:
         correlation: of the two commands where they overlap; negative for a mirrored command.
         offset: clock of the first less clock of the second at the same instant, s.
         size: amplitude of the first over that of the second.
-        misfit: rms difference at that offset, over the standard deviation of the first; mirrored ones turned.
+        misfit: rms difference at that offset, over the standard deviation of the first; after mirroring.
     """
 
     correlation: float
@@ -40,7 +40,7 @@ class Alignment:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the two commands are the same one, but for their sign."""
+        """Return whether the two commands are equal, up to their sign."""
         return abs(self.correlation) >= ALIKE and abs(self.size - 1) <= _SAME_SIZE
 
 
@@ -66,7 +66,7 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
         signed = sign * rho
         good = np.flatnonzero(signed >= signed.max() - _EQUAL)
         at = good[np.lexsort((-signed[good], -overlap[good]))[0]]
-        # the peak beside the longest overlap
+        # the peak with the longest overlap
         at = int(at + np.argmax(signed[max(at - 2, 0) : at + 3]) - min(at, 2))
         offset = float(a.time[0] - b.time[0] + lags[at] * dt)  # of clocks: lags count samples from both starts
         coarse = Alignment(float(rho[at]), offset, np.inf, np.inf)
@@ -89,28 +89,28 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     cross = correlate(x, y, method="fft")[enough]
     count = high - low
 
-    def sums(values, first, last):  # over any stretch, as a difference of two cumulative sums
+    def sums(values, first, last):  # over any part, as a difference of two cumulative sums
         total = np.concatenate([[0.0], np.cumsum(values)])
         return total[last] - total[first]
 
     sx, sxx = sums(x, low, high), sums(x * x, low, high)
     sy, syy = sums(y, low - lags, high - lags), sums(y * y, low - lags, high - lags)
     spread = np.maximum(sxx - sx**2 / count, 0) * np.maximum(syy - sy**2 / count, 0)
-    # a stretch in which hardly anything moves correlates with everything
+    # a part in which hardly anything moves correlates with everything
     moving = spread > 0.05 * (x @ x) * (y @ y)
     rho = np.where(moving, (cross - sx * sy / count) / np.sqrt(np.where(moving, spread, 1.0)), 0.0)
     return lags, rho
 
 
 def _refined(a: Record, b: Record, coarse: Alignment, sign: int) -> Alignment:
-    """Refine the offset between samples, and measure how alike the commands are at it."""
+    """Refine the offset between samples, and measure the difference of the commands there."""
     step, offset = max(a.dt, b.dt), coarse.offset
     for _ in range(8):
         inside, x, y = _overlap(a, b, offset, sign)
         if inside.sum() < 8:
             return _NOTHING
         slope = np.gradient(y, a.dt)
-        # a step of at most a sample: the correlation's peak is that near, and a square wave has no slope to trust
+        # a step of at most a sample, because the peak is that near, and a square wave has no usable slope
         move = float(np.clip(-((x - x.mean() - y + y.mean()) @ slope) / max(slope @ slope, 1e-300), -step, step))
         offset += move
         if abs(move) < 1e-6 * step:

@@ -1,13 +1,14 @@
-"""Compare what two models do: both answer the same inputs within the range on which both were trained.
+"""Compare the responses of two models to the same inputs within their common training range.
 
     U_k = U_low + f_k (U_high - U_low)                              operating points f = 0.25, 0.6, 0.95
     x_k: settled displacement at U_k,      dF/dx: static stiffness there, from x(U_k +- dU)
     s_{t+1} = A s_t + B dV,  dx = C s      the decoder step, linearised at the settled state
     z = eig(A),  p = ln(z) / dt            resonance |p| and damping -Re p / |p| of the mode with the largest residue
 
-Each model misses its own recordings by e (rms, % of range). A change of a coefficient by the fraction h moves the free
-run by d(h) % of range; so a coefficient is known to e h / d(h) at best. The two models differ where they differ by more
-than 1.96 times both of these together. Two free runs of one sweep differ where their rms difference exceeds both e.
+Each model has an error e on its own recordings (rms, % of range). Changing a coefficient by the fraction h changes the
+free run by d(h) % of range, so a coefficient is known to e h / d(h) at best. The two models differ where their
+difference exceeds 1.96 times both of these combined. Two free runs of one sweep differ where their rms difference
+exceeds both e.
 """
 
 from dataclasses import dataclass, replace
@@ -31,17 +32,17 @@ from .result import Difference, measured
 
 _POINTS = (0.25, 0.6, 0.95)
 _SMALL = 0.01  # of the common input range: half the step of the static stiffness
-_STEP = 0.05  # change of a coefficient by which its standard error is judged
+_STEP = 0.05  # relative change of a coefficient for its standard error
 _PERIODS, _MOST = 60, 20_000  # of the faster model in the sweep; its samples
 
 
 @dataclass(frozen=True)
 class Behaviour:
-    """What one model does on the common inputs; standard errors None where the model's own error is not known.
+    """The responses of one model to the common inputs; standard errors None if the model's own error is unknown.
 
     Attributes:
         run: displacement in the sweep from its first sample on, m.
-        own: rms error on the model's own recordings, m; None where not known.
+        own: rms error on the model's own recordings, m; None if unknown.
         settled: displacement at every operating point, m.
         stiffness: dF/dx there; resonance_hz, damping: of the mode that moves the displacement most; nan without one.
         errors: standard errors of ln stiffness, ln resonance and ln damping.
@@ -60,7 +61,7 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | Non
     """Compare settled displacement, stiffness, resonance and damping at three inputs, and the free runs of a sweep.
 
     Returns:
-        rows, and a sentence that says why there are none; one of the two is empty.
+        rows, and a sentence with the reason if there are none; one of the two is empty.
     """
     if why := _apart(a, b):
         return [], why
@@ -121,7 +122,7 @@ def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarr
 
 
 def own_error(fitted: Fitted) -> float | None:
-    """Return the rms error on the model's own recordings, % of range; None where it is not known."""
+    """Return the rms error on the model's own recordings, % of range; None if unknown."""
     training = fitted.origin.training or {}
     errors = [pair[1] for pair in training.get("errors", {}).values()]
     if errors:
@@ -130,13 +131,13 @@ def own_error(fitted: Fitted) -> float | None:
 
 
 def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
-    """Return the displacement from the start of the sweep on, m, whatever the sensor's zero and direction."""
+    """Return the displacement from the start of the sweep on, m, independent of the sensor."""
     run = rollout(model, drive, dt, begins="rest")
     return float(model.output.polarity) * (run - run[0])
 
 
 def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, dt: float) -> float | None:
-    """Return the change of ln a_k (None: of all coefficients) that moves the free run by the model's own error."""
+    """Return the change of ln a_k (None: of all coefficients) that changes the free run by the model's own error."""
     if k is not None and k > model.order:
         return None
     factors = np.full(model.order + 1, 1 + _STEP) if k is None else np.where(np.arange(model.order + 1) == k, 1.05, 1.0)
@@ -145,7 +146,7 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
     change = float(np.sqrt(np.mean((moved - run) ** 2)))
     if not change > 0:
         return None
-    return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance goes with the root of the inertia
+    return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
 
 
 @jit
@@ -161,7 +162,7 @@ def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
 
 
 def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float, float]:
-    """Return frequency (Hz) and damping ratio of the oscillation that moves the displacement most; nan without one."""
+    """Return frequency (Hz) and damping ratio of the oscillation with the largest displacement; nan without one."""
     if not np.isfinite(by_state).all():
         return np.nan, np.nan
     z, vectors = np.linalg.eig(by_state.astype(np.float64))
@@ -175,7 +176,7 @@ def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float,
 
 
 def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
-    """Return the row of the free runs: their rms difference beside both models' own errors, % of the range."""
+    """Return the row of the free runs: their rms difference and both models' own errors, % of the range."""
     span = max(float(np.ptp(one.run)), float(np.ptp(two.run)))
     percent = 100 / span
     apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))

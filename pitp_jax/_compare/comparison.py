@@ -14,15 +14,15 @@ from .result import Comparison
 
 
 def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
-    """Say what differs between two models, two diagnoses or two sets of records.
+    """Compare two models, two diagnoses or two sets of records.
 
     Args:
         a, b: two models (or results that hold a `.model`), two diagnoses (or their JSON as dicts), or two sequences of
             records, whose recordings are paired by their commands.
-        names: what to call them.
+        names: of the two.
 
     Returns:
-        every quantity of both with the interval of its difference, and which of them differ.
+        every quantity of both with the interval of its difference, and whether it differs.
 
     Raises:
         BadInput: two things of different kinds, or of a kind that cannot be compared.
@@ -44,7 +44,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
 
 
 def _kind(one) -> str:
-    # before models: a diagnosis holds a model as well
+    # before models, because a diagnosis holds a model too
     if isinstance(one, Mapping) and "verdict" in one or (hasattr(one, "as_json") and hasattr(one, "ranking")):
         return "a diagnosis"
     if isinstance(one, Model | Fitted) or isinstance(getattr(one, "model", None), Model | Fitted):

@@ -1,4 +1,4 @@
-"""Compare two diagnoses: verdicts, the numbers of the effects that either names, the gaps and what fills them.
+"""Compare two diagnoses: verdicts, effects with their parameters, gaps and budgets.
 
 Both are read as JSON, so that a diagnosis saved by an older version, or by another rig, can be one of the two.
 """
@@ -37,14 +37,14 @@ def _number(value) -> float | None:
 
 
 def _effects(a: dict, b: dict) -> list[Difference]:
-    """Compare parameters of what either names, from the rankings: these hold candidates that were not named as well."""
+    """Compare parameters of the effects that either reports, from the rankings, which include unreported candidates."""
     rows = []
-    # backwards, so that of several forms of one effect the best ranked is the one that stays
+    # backwards, so that of several forms of one effect the best ranked one remains
     tables = [{r["effect"]: r for r in reversed(d.get("ranking", []))} for d in (a, b)]
     for name in dict.fromkeys([*a["effects"], *b["effects"]]):
         sides = [table.get(name, {}).get("parameters", {}) for table in tables]
         forms = [table.get(name, {}).get("form") for table in tables]
-        if forms[0] != forms[1] and None not in forms:  # numbers of two forms mean two things
+        if forms[0] != forms[1] and None not in forms:  # parameters of two forms have different meanings
             rows.append(stated(f"form of {name}", *forms))
             continue
         for key in dict.fromkeys([*sides[0], *sides[1]]):
@@ -60,7 +60,7 @@ def _effects(a: dict, b: dict) -> list[Difference]:
 
 
 def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
-    """Compare the parameters of all parts of the handed-back models but the effects that a verdict names."""
+    """Compare the parameters of all parts of the returned models except the effects that a verdict reports."""
     sides = [{(p["effect"], p["form"]): p["parameters"] for p in parts if p["effect"] not in told} for parts in (a, b)]
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):

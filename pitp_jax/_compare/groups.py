@@ -1,11 +1,12 @@
-"""Find whether recordings of a simulator come from several plants: a load or a gain per file in one folder.
+"""Group a simulator's recordings by plant, for example several loads or gains in one folder.
 
-The same command with another response shows it. Every such response seeds a group; a group's linear model is
+Several plants are present if the same command gives different responses. Each such response starts a group; a group's
+linear model is
 
     y = g R(p) u + c,   R: order 2, unit gain        p, g common to a group, c of every recording, by least squares
 
-A recording belongs to the group whose model leaves the least of it. Two groups are one where their common model leaves
-at most twice as much as one model each.
+A recording belongs to the group whose model has the smallest residual on it. Two groups are merged if the residual of
+their common model is at most twice that of separate models.
 """
 
 from collections.abc import Sequence
@@ -18,20 +19,20 @@ from .._identify.linear_ode import respond
 from .._record.record import Record
 from .._record.reduced import means
 
-_AS_WELL = 2.0  # times what one model a group leaves
-_MATTERS = 0.02  # of the outputs' rms: what one model for all leaves that is worth several
-_SAME = 0.01  # of the command's deviation: commands that differ by less are the same
+_AS_WELL = 2.0  # times the residual of one model per group
+_MATTERS = 0.02  # of the outputs' rms: residual of a common model from which several are worthwhile
+_SAME = 0.01  # of the command's deviation: commands that differ by less are equal
 _SAMPLES, _MOST = 1500, 60  # of a recording; recordings that are compared
 _DAMPINGS = (0.1, 0.4, 1.5)
 
 
 @dataclass(frozen=True)
 class Groups:
-    """Recordings by their plants.
+    """Recordings grouped by their plants.
 
     Attributes:
         members: names of the recordings of each group, the largest group first.
-        common: of the outputs' rms: left by one linear model for all.
+        common: residual of one linear model for all, fraction of the outputs' rms.
         own: the same with one linear model a group.
     """
 
@@ -50,7 +51,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class _Thin:
-    """A recording at few samples: command and output less their means; `seen` where the output was measured."""
+    """A recording at few samples: command and output without their means; `seen` where the output was measured."""
 
     name: str
     dt: float
@@ -61,7 +62,7 @@ class _Thin:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A linear model of recordings: logarithms of its poles' coefficients, gain, and the sum of squares it leaves."""
+    """A linear model of recordings: logarithms of its pole coefficients, gain, and residual sum of squares."""
 
     logs: np.ndarray
     gain: float
@@ -69,7 +70,7 @@ class _Fit:
 
 
 def groups_of(records: Sequence[Record]) -> Groups | None:
-    """Group recordings by their plants; None where one linear model fits as well, or where nothing shows several.
+    """Group recordings by their plants; return None if one linear model fits as well, or if nothing shows several.
 
     Args:
         records: of one rate.
@@ -77,7 +78,7 @@ def groups_of(records: Sequence[Record]) -> Groups | None:
     if not 2 < len(records) <= _MOST:
         return None
     thin = [_thinned(record) for record in records]
-    # the command with the most recordings seeds the groups
+    # the command with the most recordings gives the initial groups
     seeds = max(([b for b in thin if _same(a, b)] for a in thin), key=len)
     if len(seeds) < 2:
         return None
@@ -124,18 +125,18 @@ def _same(a: _Thin, b: _Thin) -> bool:
 
 
 def _run(logs: np.ndarray, record: _Thin) -> np.ndarray:
-    """Return the response with unit gain from the first sample's equilibrium, less its mean where seen."""
+    """Return the response with unit gain from the first sample's equilibrium, without its mean."""
     run = respond(logs, record.drive, step=record.dt, square=False, hold="foh", settled=True)
     return run - run[record.seen].mean()
 
 
 def _left(fit: _Fit, record: _Thin) -> float:
-    """Return the sum of squares that a model leaves of a recording."""
+    """Return the residual sum of squares of a model on a recording."""
     return float(np.sum(((record.output - fit.gain * _run(fit.logs, record))[record.seen]) ** 2))
 
 
 def _fitted(records: Sequence[_Thin], *starts: _Fit | None) -> _Fit:
-    """Fit one linear model to recordings, from models of a part of them or from a grid of modes."""
+    """Fit one linear model to recordings, from models of some of them or from a grid of modes."""
     output = np.concatenate([record.output[record.seen] for record in records])
 
     def rest(logs: np.ndarray) -> tuple[np.ndarray, float]:

@@ -1,4 +1,4 @@
-"""Compare two models: what they do, what they are, their coefficients by meaning, their effects and their origin.
+"""Compare two models: their responses, facts, coefficients by meaning, effects and origins.
 
     a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of a linear model)
 
@@ -26,13 +26,13 @@ _MEANINGS = ("stiffness", "damping", "inertia")
 
 
 def coefficient_meaning(i: int) -> str:
-    """Name a coefficient by its meaning: `stiffness (a0)`, ...; `a3` from the third on."""
+    """Return a coefficient's name by its meaning: `stiffness (a0)`, ...; `a3` from the third on."""
     return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
-    """Compare the responses, facts and numbers of two models."""
-    # both in the units of the first: one value in deg and one in rad would differ by 57
+    """Compare the responses, facts and parameters of two models."""
+    # both in the units of the first, because one value in deg and one in rad would differ by 57
     one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
     rows, why = compare_behaviour(a, b)
     rows += _adapted_rows(a, b)
@@ -45,7 +45,7 @@ def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
 
 
 def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
-    """List the factors by which the last `adapt` of either model changed it, where the other model has none."""
+    """Return the factors of either model's last `adapt` that the other model lacks."""
     rows = []
     for k, (mine, other) in enumerate(((a, b), (b, a))):
         for entry in mine.origin.adapted:
@@ -73,7 +73,7 @@ def _coefficients(one: dict, two: dict) -> list[Difference]:
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
-    """Compare the static stiffness, and the least damped mode of each, where the orders differ."""
+    """Compare the static stiffness and the least damped mode, for models of different orders."""
     stiffness = measured(
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
@@ -93,7 +93,7 @@ def _modes(one: dict, two: dict) -> list[Difference]:
 
 
 def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
-    """Compare numbers of the effects either model carries; a model file holds no standard errors of them."""
+    """Compare parameters of the effects in either model; a model file holds no standard errors of them."""
     sides = [{(e["effect"], e["form"]): e["parameters"] for e in effects} for effects in (one, two)]
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):
@@ -106,8 +106,8 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
 
 
 def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
-    """Describe descent, recordings seen by one or both, and what one was adapted to."""
-    # by their sums, not their names: two rigs name different recordings alike
+    """Return lines on the lineage, recordings used by one or both, and adaptations."""
+    # by their checksums, because two rigs may use the same names
     sums: list[dict[str, str]] = [
         {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
     ]

@@ -1,4 +1,4 @@
-"""Write the page of a comparison: what differs, every quantity, and recordings of one command over each other."""
+"""The page of a comparison: differences, every quantity, and recordings of one command overlaid."""
 
 from collections import Counter
 
@@ -7,7 +7,7 @@ from matplotlib.figure import Figure
 
 from .._report import html
 from .._report.html import tag
-from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes, some_periods
 from .._report.numbers import figure, shown_unit
 from .._table.units import from_base
 from .pairing import Pair
@@ -17,14 +17,14 @@ _DRAWN = 12  # pairs of recordings, the most different first
 
 
 def page(result: Comparison) -> str:
-    """Write a self-contained HTML page."""
+    """Return the comparison as a self-contained HTML page."""
     others = tuple(r for r in result.rows if not r.differs)
     alike = [tag("h2", "What does not, or cannot be said"), _table(result, others)] if others else []
     return html.page(result.headline(), [*_first(result), *alike, *_drawn(result)])
 
 
 def first_screen(result: Comparison) -> str:
-    """Write headline, remarks and what differs, without the page around."""
+    """Return headline, remarks and differences, without the page around."""
     return "".join(_first(result))
 
 
@@ -55,26 +55,27 @@ def _shown(value: float | str | None) -> str:
 
 
 def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]]]:
-    """Draw every pair, with its numbers as columns, by name."""
+    """Draw every pair; return figures and their numbers as columns, by name."""
     pairs = () if result.pairs is None else result.pairs.pairs
     count = Counter(p.first.name for p in pairs)
     made = {}
     for pair in pairs[:_DRAWN]:
-        # one recording may stand beside several
+        # one recording may appear in several
         name = pair.first.name if count[pair.first.name] == 1 else f"{pair.first.name}_{pair.second.name}"
         made[f"pair_{name.replace('/', '_')}"] = overlay(pair, result.names)
     return made
 
 
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
-    """Draw both outputs over the time since the first recording's start, their difference beneath; with the numbers."""
+    """Draw both outputs over the time since the first recording's start, and the difference; return the numbers too."""
     unit = pair.first.displacement_unit
-    time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
+    time = pair.first.time - pair.first.time[0]  # clocks of two rigs have different origins
     one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
-    line(upper, time, one, color=MEASURED, lw=2.2, label=names[0])
-    line(upper, time, two, color=PREDICTED, lw=1.0, label=names[1])
-    line(lower, time, two - one, color=ERROR, lw=0.8)
+    part = some_periods(one)
+    line(upper, time[part], one[part], color=MEASURED, lw=2.2, label=names[0])
+    line(upper, time[part], two[part], color=PREDICTED, lw=1.0, label=names[1])
+    line(lower, time[part], (two - one)[part], color=ERROR, lw=0.8)
     finish(np.array([upper, lower]), "time from the start (s)", [f"output ({shown_unit(unit)})", "difference"])
     drawn = upper.figure
     assert isinstance(drawn, Figure)

@@ -1,11 +1,11 @@
-"""Pair the recordings of two sets by their commands, and by their responses where several have the same command.
+"""Pair the recordings of two sets by their commands, and by their responses if several have the same command.
 
     distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
 An assignment problem finds the pairs: a better command counts before a nearer response, a nearer response before an
-equal name. The sum of squares does not change if one machine differs from the other alike in all recordings. A
-recording that is left over is a repeat where it lies nearer to a paired recording of its own set than that one lies to
-its partner: it gets the same partner.
+equal name. A difference between the machines that is the same in all recordings does not change the pairs. An unpaired
+recording is a repeat if it lies nearer to a paired recording of its own set than that one lies to its partner. It then
+gets the same partner.
 """
 
 from collections.abc import Sequence
@@ -20,10 +20,10 @@ from .._record.record import Record
 from .alignment import ALIKE, Alignment, align
 from .remarks import remarks_on
 
-_AS_GOOD = (1.5, 0.02)  # factor and part of the command's deviation by which a misfit may exceed the best one
+_AS_GOOD = (1.5, 0.02)  # factor and fraction of the command's deviation by which a misfit may exceed the best one
 _FIRST, _LAST = 1e3, 1e-9  # weights: of the command before the response, of the name after it
 _REFUSED = 1e6  # cost above any accepted one, and finite, as the assignment needs
-_MIRRORED = -0.5  # median correlation of the outputs below which the output of a set is turned
+_MIRRORED = -0.5  # median correlation of the outputs below which the output of a set is mirrored
 
 
 @dataclass(frozen=True)
@@ -44,24 +44,24 @@ class Pair:
     output_sign: int = 1
 
     def command(self) -> np.ndarray:
-        """Interpolate the second's command at the times of the first, held at its ends and turned; shape (T,)."""
+        """Interpolate the second recording's command at the times of the first, held at its ends and mirrored, (T,)."""
         sign = -1 if self.correlation < 0 else 1
         return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Interpolate the second's output at the times of the first, turned; nan outside and where missing."""
+        """Interpolate the second recording's output at the times of the first, mirrored, nan where missing, (T,)."""
         return self.output_sign * _at(self.first, self.second, self.offset)
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which recordings share their command.
+    """The recordings that share their command.
 
     Attributes:
-        pairs: in the order of the first set; a recording may stand in several.
+        pairs: in the order of the first set; a recording may be in several.
         first_alone, second_alone: (name, reason) of recordings without a partner.
         repeated: of each set, groups of recordings with one command, paired by their responses.
-        undecided: (name, partner, others): the others of the partner's set would do as well.
+        undecided: (name, partner, others): the others of the partner's set fit equally well.
         mirrored: whether the second set's command and its output have the opposite sign.
     """
 
@@ -73,7 +73,7 @@ class Pairing:
     mirrored: tuple[bool, bool] = (False, False)
 
     def remarks(self, first: str, second: str) -> list[str]:
-        """Describe clocks, partners and signs in sentences; `first` and `second` name the sets."""
+        """Return remarks on clocks, partners and signs in sentences; `first` and `second` name the sets."""
         return remarks_on(self, first, second)
 
 
@@ -84,14 +84,14 @@ def pair_records(
 
     Args:
         first, second: recordings of two machines, or of a machine and its simulator; rates may differ.
-        shared: the set of which a recording that is alone with its command is the partner of all with that command.
+        shared: the set in which a recording with a unique command is the partner of all with that command.
 
     Returns:
-        the pairs in the order of the first set, what has no partner, and what the commands alone did not decide.
+        the pairs in the order of the first set, recordings without a partner, and undecided pairs.
     """
     both = [[align(a, b) for b in second] for a in first]
     same, mirrored = ([[tried[k] for tried in row] for row in both] for k in (0, 1))
-    # a sine is its own mirror image half a period later: the opposite sign must explain more recordings
+    # a sine is its own mirror image half a period later, so the opposite sign must explain more recordings
     is_mirrored = _partnered(mirrored) > _partnered(same)
     table = _Table.of(first, second, mirrored if is_mirrored else same)
     cost = table.cost()
@@ -114,14 +114,14 @@ def pair_records(
 
 
 def _partnered(matches: list[list[Alignment]]) -> int:
-    """Count the recordings of both sets with at least one partner."""
+    """Return the number of recordings of both sets with at least one partner."""
     fits = np.array([[m.accepted for m in row] for row in matches])
     return int(fits.any(axis=0).sum() + fits.any(axis=1).sum())
 
 
 @dataclass(frozen=True)
 class _Table:
-    """How every recording of one set lies on every one of the other; arrays of shape (first, second).
+    """The alignment of every recording of one set with every one of the other; arrays of shape (first, second).
 
     Attributes:
         mine, others: the recordings.
@@ -160,7 +160,7 @@ class _Table:
         )
 
     def turned(self) -> "_Table":
-        """Exchange the two sets."""
+        """Return the table with the two sets exchanged."""
         matches = [
             [Alignment(m.correlation, -m.offset, 1 / m.size if m.size else np.inf, m.misfit) for m in column]
             for column in zip(*self.matches, strict=True)
@@ -171,7 +171,7 @@ class _Table:
         )  # fmt: skip
 
     def cost(self) -> np.ndarray:
-        """Weigh commands before responses before names."""
+        """Return the cost of every pair: commands before responses before names."""
         misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in self.matches])
         fits = np.isfinite(misfit)
         excess = np.where(fits, misfit, 0.0) - np.minimum(_allowed(misfit, 1), _allowed(misfit, 0))
@@ -188,7 +188,7 @@ class _Table:
         return max(a + b - 2 * c - 2 * (self.noise[0][i] + self.noise[0][k]), 0.0)
 
     def alone(self, paired: set[int]) -> tuple[tuple[str, str], ...]:
-        """Name the recordings without a partner, each with the reason."""
+        """Return the names of recordings without a partner, each with the reason."""
         return tuple((r.name, self._why(k)) for k, r in enumerate(self.mine) if k not in paired)
 
     def _why(self, i: int) -> str:
@@ -201,7 +201,7 @@ class _Table:
         return f"no command correlates with its own by {ALIKE:g} (closest: {name}, {m.correlation:.2f})"
 
     def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
-        """List the groups of the second set among which the responses decided."""
+        """Return the groups of the second set among which the responses decided."""
         groups = {
             tuple(np.flatnonzero(row).tolist())
             for i, row in enumerate(self.near)
@@ -210,7 +210,7 @@ class _Table:
         return tuple(tuple(self.others[j].name for j in group) for group in sorted(groups) if len(group) > 1)
 
     def undecided(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-        """List pairs for which another recording of the second set has the same command and response."""
+        """Return pairs for which another recording of the second set has the same command and response."""
         found = []
         for i, j in sorted(chosen):
             slack = self.noise[0][i] + self.noise[1]
@@ -227,7 +227,7 @@ def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:
-    """Give recordings of the first set that are left over the partner of a paired recording that they repeat."""
+    """Give remaining recordings of the first set the partner of a paired recording that they repeat."""
     found = set()
     for i in sorted(set(range(len(table.mine))) - {i for i, _ in chosen}):
         fitting = np.flatnonzero(table.near[i]).tolist()

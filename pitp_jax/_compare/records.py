@@ -1,8 +1,9 @@
-"""Compare two sets of records: recordings of one command beside each other, otherwise linear models of the two sets.
+"""Compare two sets of records: outputs of common commands, otherwise linear models of the two sets.
 
     y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
-A sensor's zero c belongs to a recording and is no difference. Where no command is common, both sets are identified.
+The sensor offset c belongs to a recording and is not counted as a difference. If no command is common, both sets are
+identified.
 """
 
 from collections.abc import Sequence
@@ -20,11 +21,11 @@ from .pairing import Pair, pair_records
 from .result import Comparison, Difference, measured
 
 _BLOCKS = 8
-_NOISES = 3.0  # what two recordings of one machine may differ by, in standard deviations of both sensors' noise
+_NOISES = 3.0  # allowed difference of two recordings of one machine, in standard deviations of both sensors' noise
 
 
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
-    """Pair the recordings and compare their outputs; identify both sets where nothing pairs."""
+    """Pair the recordings and compare their outputs; identify both sets if nothing pairs."""
     pairs = pair_records(a, b)
     remarks = pairs.remarks(*names)
     if pairs.pairs:
@@ -42,7 +43,7 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
 
 
 def linear_model_of(records: Sequence[Record]) -> Identification:
-    """Identify a linear model of these records, a delay included; of two input maps the one that leaves less.
+    """Identify a linear model of these records with a delay, with the input map of the smaller residual.
 
     Raises:
         BadInput, ComputationFailed: as `identify`.
@@ -51,7 +52,7 @@ def linear_model_of(records: Sequence[Record]) -> Identification:
     for input_map in ("linear", "square") if _may_be_squared(records[0]) else ("linear",):
         try:
             identified.append(identify(records, input_map=input_map, learn=("delay",)))
-        except ComputationFailed as error:  # the other map may still do
+        except ComputationFailed as error:  # the other map may still succeed
             failed = error
     if not identified:
         raise failed or ComputationFailed("no linear model can be identified")
@@ -59,12 +60,12 @@ def linear_model_of(records: Sequence[Record]) -> Identification:
 
 
 def _may_be_squared(record: Record) -> bool:
-    """Tell whether a record's input may act by its square: a voltage that moves something may, a command does not."""
+    """Return whether a record's input may act by its square: a voltage that moves something may, a command does not."""
     return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
 def _outputs(pair: Pair, first: str) -> list[Difference]:
-    """Compare size, lag and remainder of B's output beside A's, at A's times."""
+    """Compare size, lag and residual of B's output relative to A's, at A's times."""
     a, unit = pair.first, pair.first.displacement_unit
     if base_unit(unit) != base_unit(pair.second.displacement_unit):
         raise BadInput(
@@ -74,7 +75,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     y, other = a.displacement, pair.output()
     seen = np.isfinite(y) & np.isfinite(other)
     noise = float(np.hypot(noise_std(y), noise_std(pair.second.displacement)))
-    # block by block, since one error of a whole recording would say nothing of how sure its size and lag are
+    # block by block, because one error of a whole recording would not give the uncertainty of size and lag
     fits = [f for f in (_affine(y, other, seen & block, a.dt) for block in _blocks(seen)) if f is not None]
     whole = _affine(y, other, seen, a.dt)
     if whole is None or len(fits) < 3:
@@ -83,7 +84,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
     name = a.name if a.name == pair.second.name else f"{a.name}, {pair.second.name}"
     stroke = float(from_base(np.ptp(y[seen]), unit))
-    apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # but for the zero
+    apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # without the offset
     difference, floor = (float(from_base(v, unit)) for v in (apart, noise))
     return [
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
@@ -100,7 +101,7 @@ def _blocks(seen: np.ndarray) -> list[np.ndarray]:
 
 
 def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tuple[float, float] | None:
-    """Fit size s and lag d (s) of `other` = s y(t - d) + c; None where hardly anything moves.
+    """Fit size s and lag d (s) of `other` = s y(t - d) + c; return None if hardly anything moves.
 
     Gauss-Newton: about the lag so far, s y(t - d) is s y - s (d - lag) y', linear in s and s (d - lag).
     """

@@ -1,4 +1,4 @@
-"""Describe in sentences how two sets of recordings were paired."""
+"""Remarks on how two sets of recordings were paired, in sentences."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,13 +15,13 @@ _LISTED = 12  # names in one sentence; the JSON holds all
 
 
 def remarks_on(pairing: "Pairing", first: str, second: str) -> list[str]:
-    """Describe clocks, partners and signs; `first` and `second` name the sets."""
+    """Return remarks on clocks, partners and signs; `first` and `second` name the sets."""
     named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
     lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
     lines += _of_ties(pairing, first, second)
     lines += _of_signs(pairing, second)
     offsets = [p.offset for p in pairing.pairs]
-    # below 0.1 ms it is interpolation
+    # below 0.1 ms it is an interpolation error
     if offsets and max(map(abs, offsets)) >= 1e-4:
         sizes = sorted(abs(o) for o in offsets)
         middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]

@@ -1,7 +1,7 @@
-"""Hold what a comparison says: quantities of two things, and which of them differ by more than both are known to.
+"""The result of a comparison: quantities of two objects, and which differ by more than their intervals.
 
 difference = b - a,    95 % interval:  difference +- 1.96 sqrt(s_a^2 + s_b^2)
-a number differs where that interval leaves out 0; where a standard error is not known, neither is this (None)
+a quantity differs if that interval excludes 0; None if a standard error is unknown
 """
 
 import math
@@ -20,14 +20,14 @@ _LINES = 9  # of differences in a repr, below its headline
 
 @dataclass(frozen=True)
 class Difference:
-    """One quantity of both.
+    """One quantity of both objects, with its difference.
 
     Attributes:
-        what: in plain words.
-        a, b: its values; text where it is no number, None where one side has none.
+        what: the quantity in plain words.
+        a, b: its values; text if it is not a number, None if missing.
         unit: of both and of the interval.
-        ci95: of b - a; None where a standard error is not known.
-        differs: whether b is other than a; None where that cannot be said.
+        ci95: of b - a; None if a standard error is unknown.
+        differs: whether b differs from a; None if unknown.
     """
 
     what: str
@@ -38,9 +38,9 @@ class Difference:
     differs: bool | None = None
 
     def words(self) -> str:
-        """Describe the difference in one line."""
+        """Return the difference in one line."""
         ratio = ""
-        # a factor says something of numbers of one size and sign; of others the numbers themselves say more
+        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
             ratio = f" (factor {number(self.b / self.a)})"
         return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
@@ -48,14 +48,14 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """What differs between A and B.
+    """The differences between A and B.
 
     Attributes:
         kind: "models", "diagnoses" or "records".
         names: of A and of B.
-        rows: every quantity that both or one of them has.
-        remarks: what no row holds: descent, clocks, recordings without a partner.
-        pairs: of two sets of records, which recordings share their command.
+        rows: every quantity of either.
+        remarks: further facts: lineage, clocks, recordings without a partner.
+        pairs: of two sets of records, the recordings with the same command.
     """
 
     kind: str
@@ -66,11 +66,11 @@ class Comparison:
 
     @property
     def different(self) -> tuple[Difference, ...]:
-        """The rows that differ."""
+        """Return the rows that differ."""
         return tuple(r for r in self.rows if r.differs)
 
     def headline(self) -> str:
-        """Say in one sentence how many quantities differ."""
+        """Return a sentence on how many quantities differ."""
         count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
         a, b = self.names
         unknown = f" ({open_} more have unknown standard errors and are not judged)" if open_ else ""
@@ -79,24 +79,24 @@ class Comparison:
         return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
 
     def __repr__(self) -> str:
-        """Show the headline, and the first rows that differ."""
+        """Return the headline, and the first rows that differ."""
         lines = [r.words() for r in self.different]
         more = [f"  and {len(lines) - _LINES + 1} more"] if len(lines) > _LINES else []
         shown = lines[: _LINES - 1] if more else lines
         return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
 
     def _repr_html_(self) -> str:
-        """Show the first screen of its page."""
+        """Return the first screen of its page."""
         from .page import first_screen
 
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """Tabulate one row a quantity: what, a, b, unit, difference's interval, whether it differs."""
+        """Return one row per quantity: what, a, b, unit, difference's interval, whether it differs."""
         return data_frame(self.as_json()["rows"])
 
     def as_json(self) -> dict[str, Any]:
-        """Write it as `pitp compare --json` has it."""
+        """Return the dict of `pitp compare --json`."""
         rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
         pairs = [] if self.pairs is None else [
             {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation}
@@ -107,9 +107,9 @@ class Comparison:
 
 
 def measured(what: str, a: float | None, b: float | None, unit: str, errors: tuple[float | None, float | None]):
-    """Make a row of two numbers with standard errors, None where one is not known."""
+    """Return a row of two numbers with standard errors, None if one is unknown."""
     if a is None or b is None:
-        return Difference(what, a, b, unit, None, True)  # what only one side has is a difference, of no size
+        return Difference(what, a, b, unit, None, True)  # a quantity of one side only: a difference without a size
     if a == b:
         return Difference(what, a, b, unit, None, False)
     if errors[0] is None or errors[1] is None:
@@ -119,8 +119,8 @@ def measured(what: str, a: float | None, b: float | None, unit: str, errors: tup
 
 
 def stated(what: str, a, b) -> Difference:
-    """Make a row of two facts, which differ where they read differently: numbers by the four digits that are shown."""
-    # as shown: two numbers that read alike and are called different would puzzle the reader
+    """Return a row of two facts, which differ if their texts do: numbers with the four digits shown."""
+    # as shown, because two equal texts called different would puzzle the reader
     return Difference(what, _cell(a), _cell(b), differs=_cell(a) != _cell(b))
 
 

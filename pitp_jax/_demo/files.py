@@ -1,7 +1,7 @@
 """Write the folder of `pitp demo`: the recordings, the model files, the tables as CSV, and the paper's figures.
 
-records/   the sweep and the training sines: what `pitp identify`, `fit` and `diagnose` take
-held_out/  recordings that trained nothing, for `pitp predict`
+records/   the sweep and the training sines: for `pitp identify`, `fit` and `diagnose`
+held_out/  held-out recordings, for `pitp predict`
 target.csv a wanted motion, for `pitp invert`
 figures/   the paper's figures, each with its numbers as CSV
 """
@@ -36,12 +36,12 @@ def write(demo: Demo, folder: Path) -> None:
     """Write everything into an existing folder.
 
     Args:
-        demo: what `protocol.run` returned.
+        demo: result of `protocol.run`.
         folder: where; files of the same names are replaced.
 
     Raises:
         BadInput: a file cannot be written.
-        OSError: a figure cannot.
+        OSError: a figure cannot be written.
     """
     for name, records in ((RECORDS, (demo.sweep, *demo.train)), (HELD_OUT, demo.test)):
         (folder / name).mkdir()
@@ -67,14 +67,14 @@ def write(demo: Demo, folder: Path) -> None:
 
 
 def recordings(name: str, quick: bool) -> set[str]:
-    """List the names of the recordings this demo writes, with their folders."""
+    """Return the names of the recordings that this demo writes, with their folders."""
     parts = {RECORDS: ("sweep", "train"), HELD_OUT: ("test",)}
     return {f"{home}/{e.name}.csv" for home, kinds in parts.items() for k in kinds for e in excitations(name, k, quick)}
 
 
 def _csv(table: Table) -> str:
     rows = [",".join(_cell(value) for value in row) for row in table.rows]
-    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"  # no header needs quotes then
+    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"  # no header then needs quotes
 
 
 def _cell(value) -> str:
@@ -100,7 +100,7 @@ def _loops(demo: Demo):
     axes = None
     for t in demo.tracks:
         r = nearest(demo.train, demo.name, t.frequency)
-        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the drive: x turns twice as often
+        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the voltage: x has twice its frequency
         predicted = demo.predicted[r.name].displacement
         axes = paper_figures.hysteresis_loops(
             r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"
@@ -110,7 +110,7 @@ def _loops(demo: Demo):
 
 
 def _tokens(demo: Demo):
-    """Draw the tokens along the free run of one training sine, each over its nominal value, and the offset token."""
+    """Draw the tokens along the free run of one training sine, over their nominal values, and the offset token."""
     t = demo.tracks[1]
     r = nearest(demo.train, demo.name, t.frequency)
     model = demo.training.model.model
@@ -120,7 +120,7 @@ def _tokens(demo: Demo):
 
 
 def token_history(model: Model, record: Record) -> np.ndarray:
-    """Compute tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
+    """Return tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
     voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
     states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
     tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)

@@ -1,9 +1,9 @@
-"""Simulate a robot's joint and its simulator under the same position commands: two folders, and a MuJoCo file.
+"""Simulate a robot's joint and its simulator with the same position commands: two folders, and a MuJoCo file.
 
     J q'' + D q' + Kp (q - c(t - T)) + Fc sgn(q') = 0,    angle read = play(q, w), rounded to the encoder's steps
 
-The simulator lacks Fc, T and w. Each writes files as its program would: the simulator radians at 200 Hz, the robot
-degrees at 500 Hz by a clock of its own. Solved by semi-implicit Euler steps; dry friction acts implicitly:
+The simulator lacks Fc, T and w. Each writes its own file format: the simulator radians at 200 Hz, the robot degrees at
+500 Hz with its own clock. Solved by semi-implicit Euler steps; dry friction acts implicitly:
 
     v* = v + h a(q, v),    v = sgn(v*) max(|v*| - h Fc / J, 0),    q = q + h v
 """
@@ -24,7 +24,7 @@ _ENCODER = 2 * np.pi / 2**14  # rad
 
 @dataclass(frozen=True)
 class Joint:
-    """Numbers of a position-controlled joint, SI units.
+    """Parameters of a position-controlled joint, SI units.
 
     Attributes:
         inertia, damping, position_gain: J in kg m^2, D in N m s/rad, Kp in N m/rad.
@@ -46,12 +46,12 @@ REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)
 
 
 def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """List position commands by name, rad: each a function of time (T,), 0 up to t = 0, and held after `seconds`."""
+    """Return position commands by name, rad: functions of time (T,), 0 up to t = 0, constant after `seconds`."""
 
     def windowed(shape: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         return lambda t: shape(np.clip(t, 0.0, seconds))
 
-    def chirp(t, low=0.1, high=6.0):  # the frequency grows exponentially: every octave takes as long
+    def chirp(t, low=0.1, high=6.0):  # the frequency grows exponentially: every octave takes equally long
         rate = np.log(high / low) / seconds
         return 0.35 * np.sin(2 * np.pi * low * np.expm1(rate * t) / rate)
 
@@ -60,14 +60,14 @@ def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
         "sine_0.3Hz": windowed(lambda t: 0.50 * np.sin(2 * np.pi * 0.3 * t)),
         "sine_1Hz": windowed(lambda t: 0.12 * np.sin(2 * np.pi * t)),
         "sine_2.5Hz": windowed(lambda t: 0.30 * np.sin(2 * np.pi * 2.5 * t)),
-        # constant speed between sharp turns: what backlash and dry friction show most
+        # constant speed between sharp reversals, where backlash and dry friction are most visible
         "triangle": windowed(lambda t: 0.20 * (2 / np.pi) * np.arcsin(np.sin(2 * np.pi * 0.5 * t))),
         "steps": windowed(lambda t: 0.10 * (np.floor(t / 1.5) % 5) * (-1.0) ** np.floor(t / 3.0)),
     }
 
 
 def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np.ndarray) -> np.ndarray:
-    """Simulate the angle read at each sample, rad, from standstill; the controller holds a command for one sample.
+    """Simulate the measured angle at each sample, rad, from standstill; a command is held for one sample.
 
     Args:
         joint: its numbers.
@@ -77,7 +77,7 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
     dt = float(time[1] - time[0])
     substeps = int(np.ceil(dt / _STEP))
     h = dt / substeps
-    # the command that acts during each substep: sampled at its own time stamp, T later at the motor
+    # the command acting in each substep: sampled at its own time stamp, T later at the motor
     acting = np.arange(len(time) * substeps) * h - joint.delay
     held = command(time[0] + dt * np.floor(acting / dt + 1e-9)).tolist()  # 1e-9: k h / dt may round below its sample
     kp, d, slip = joint.position_gain / joint.inertia, joint.damping / joint.inertia, h * joint.friction / joint.inertia
@@ -87,13 +87,14 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
         angles[k] = q
         for c in held[k * substeps : (k + 1) * substeps]:
             free = v + h * (kp * (c - q) - d * v)
-            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)  # friction stops a joint, never turns it
+            # friction stops a joint but never reverses it
+            v = max(free - slip, 0.0) if free > 0 else min(free + slip, 0.0)
             q += h * v
     return _play(angles, joint.backlash / 2)
 
 
 def _play(values: np.ndarray, half: float) -> np.ndarray:
-    """Follow the values through a play of this half width, which begins in its middle."""
+    """Return the output of a backlash play of this half width, started in its middle, shape (T,)."""
     follower, out = 0.0, np.empty(len(values))
     for k, value in enumerate(values):
         follower = min(max(follower, value - half), value + half)
@@ -145,5 +146,5 @@ MJCF = f"""<mujoco model="joint">
 
 
 def recordings() -> set[str]:
-    """List the names of the files `write` makes, with their folders."""
+    """Return the names of the files that `write` makes, with their folders."""
     return {SIMULATOR_FILE} | {f"{home}/{name}.csv" for home in (SIMULATED, ROBOT) for name in commands(1.0)}

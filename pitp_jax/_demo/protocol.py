@@ -1,11 +1,11 @@
-"""Run the paper's experiments on a virtual actuator: what the tables and figures of `pitp demo` are made from.
+"""The paper's experiments on a virtual actuator, for the tables and figures of `pitp demo`.
 
     sweep ──▶ identify ──▶ nominal ─┐
     sines ──────────────────────────┴▶ train ──▶ model ─┬▶ predict in-sample and held-out records  (Table I)
                                                         └▶ voltage for sines ──▶ plant ──▶ error   (Table II)
 
-The paper's figures are of its own four actuators and stand beside ours for their size, not for a contest;
-every cell of its Table I lies on the training grid, so held-out records are a table of their own.
+The paper's figures come from its own four actuators; they show the order of magnitude and are no benchmark. Every cell
+of its Table I lies on the training grid, so held-out records have their own table.
 """
 
 from collections.abc import Callable, Sequence
@@ -44,13 +44,13 @@ TRACKING_PAPER = {  # Table II
 
 @dataclass(frozen=True)
 class Scale:
-    """What differs between the two kinds of actuator, and between the whole protocol and `--quick`.
+    """Settings that depend on the kind of actuator, and on `--quick`.
 
     Attributes:
         amplitude: A3 of the sines in Table I, V (1-5 kV for the cone, 200-1200 V for the roll).
         track_s, rise_s: length of a tracked sine and of the smooth start of it, s.
         quick_sweep: the short sweep: f_start, f_end, duration, rate, amplitude, offset.
-        quick_hz: drive frequencies kept for training, Hz.
+        quick_hz: input frequencies used for training, Hz.
         quick_s: seconds kept of every other record.
     """
 
@@ -70,7 +70,7 @@ SCALES = {
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of figures under a title; None where there is none."""
+    """Rows of figures under a title; None for a missing figure."""
 
     title: str
     header: tuple[str, ...]
@@ -79,7 +79,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Track:
-    """One tracked target, what the plant did, its voltage, over the samples of the target; the inverse's warnings."""
+    """One tracked target: target, motion and voltage at its samples, and the warnings of the inverse."""
 
     frequency: float
     time: np.ndarray
@@ -91,7 +91,7 @@ class Track:
 
     @property
     def e_rms(self) -> float:
-        """Tracking error in percent of the target's range."""
+        """Return the tracking error, % of the target's range."""
         return e_rms_percent(self.achieved, self.target)
 
 
@@ -122,7 +122,7 @@ def run(
     Args:
         name: `cone100`, `cone122`, `cone150` or `roll`.
         quick: fewer and shorter records, less training.
-        say: called with a line at every stage.
+        say: called with one line per stage.
         progress: called with the progress of training.
 
     Raises:
@@ -140,7 +140,7 @@ def run(
     if trained.interrupted:  # a half-trained model beside the paper's figures would mislead
         raise KeyboardInterrupt
     say(f"predicting {len(sines)} in-sample and {len(test)} held-out records")
-    # every record once with both models: tables and figures read the same runs
+    # every record once with both models, so that tables and figures use the same runs
     predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
     linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
     say("tracking sines")
@@ -152,12 +152,12 @@ QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}
 
 
 def kind(name: str) -> str:
-    """Tell the kind of an actuator, `cone` or `roll`."""
+    """Return the kind of an actuator, `cone` or `roll`."""
     return "roll" if name == "roll" else "cone"
 
 
 def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
-    """List the drives of one part of the protocol, fewer and shorter for `quick`."""
+    """Return the excitations of one part of the protocol, fewer and shorter for `quick`."""
     scale = SCALES[kind(name)]
     whole = protocol(kind(name), part)
     if not quick:
@@ -172,7 +172,7 @@ def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
 
 
 def measure(actuator: Plant, drives: Sequence[Excitation]) -> tuple[Record, ...]:
-    """Measure noisy records of the virtual actuator, one per drive."""
+    """Simulate noisy records of the virtual actuator, one per excitation."""
     return tuple(record(actuator, e.name, e.time, e.voltage, seed=SEED) for e in drives)
 
 
@@ -181,13 +181,13 @@ def _pairs(model, records):
 
 
 def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:
-    """Find the training sine at the amplitude of Table I and this frequency (Hz)."""
+    """Return the training sine with the amplitude of Table I and this frequency (Hz)."""
     wanted = f"sine_{frequency:03.0f}Hz_{SCALES[kind(name)].amplitude:.0f}V"
     return next(r for r in records if r.name == wanted)
 
 
 def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> Track:
-    """Invert a sine of half the range the plant reaches at this drive frequency, and play it on the plant."""
+    """Invert a sine of half the range the plant reaches at this frequency, and play it on the plant."""
     scale = SCALES[kind(actuator.name)]
     amplitude, mean = swing(nearest(train, actuator.name, frequency))
     time, wanted = sine(frequency, scale.track_s, actuator.rate_hz, amplitude, mean, rise=scale.rise_s)
@@ -195,8 +195,8 @@ def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> 
 
 
 def swing(training: Record) -> tuple[float, float]:
-    """Choose amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
-    # half of what was reached: a target at the edge would need voltages that training never saw
+    """Return amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
+    # half of the range reached, because a target at the edge would need voltages outside the training
     settled = training.displacement[training.samples // 2 :]
     return 0.25 * float(np.ptp(settled)), float(settled.mean())  # amplitude: a quarter of peak to peak
 
@@ -204,8 +204,8 @@ def swing(training: Record) -> tuple[float, float]:
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
     """Compute the feedforward for a target, and play it on the noise-free plant."""
     plan = feedforward(model, target)
-    clock = np.arange(len(plan.time)) / actuator.rate_hz  # the feedforward may begin before the target's time 0
-    # the plant has no band-limited amplifier; samples this dense are joined by lines
+    clock = np.arange(len(plan.time)) / actuator.rate_hz  # the feedforward may start before the target's time 0
+    # the plant has no band-limited amplifier; such dense samples are joined by lines
     x = simulate(actuator, clock, plan.voltage, hold="zoh" if model.hold == "zoh" else "foh")
     asked = np.asarray(plan.target)
     return Track(
@@ -215,20 +215,20 @@ def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> T
 
 
 def error(demo: Demo, name: str, *, linear: bool = False) -> float:
-    """Compute e_rms in percent of the model's (or the nominal's) free run on one record; inf where it diverged."""
+    """Return e_rms (%) of the model's (or the nominal's) free run on one record; inf if it diverged."""
     measured = next(r for r in (*demo.train, *demo.test, demo.sweep) if r.name == name)
     p = (demo.linear if linear else demo.predicted)[name]
     return e_rms_percent(p.displacement, measured.displacement, p.scored)
 
 
 def noise_floor(demo: Demo, name: str) -> float:
-    """Compute e_rms in percent that the sensor's noise alone leaves on one record."""
+    """Return e_rms (%) of the sensor noise alone on one record."""
     measured = next(r for r in (*demo.train, *demo.test) if r.name == name)
     return 100.0 * virtual_actuator(demo.name).noise_std / float(np.ptp(measured.displacement))
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
-    """Fill Tables I (in-sample) and II beside the paper's, and one of the held-out records."""
+    """Return Tables I (in-sample) and II with the paper's values, and a table of the held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
     in_sample, held_out, tracking = [], [], []
     for f, paper in PREDICTION_PAPER[demo.name].items():
@@ -237,7 +237,7 @@ def tables(demo: Demo) -> tuple[Table, ...]:
         in_sample.append((f"{f:g}", paper, *ours))
     for r in demo.test:
         ours = (error(demo, r.name), error(demo, r.name, linear=True), noise_floor(demo, r.name))
-        held_out.append((r.name, *ours))  # the paper has no such records to stand beside
+        held_out.append((r.name, *ours))  # the paper has no such records
     held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
     for t in demo.tracks:
         tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))

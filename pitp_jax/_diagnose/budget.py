@@ -1,10 +1,12 @@
-"""The work that a diagnosis may do: counted simulated steps, and wall time where the user limits it.
+"""The computing budget of a diagnosis: counted simulation steps, and wall time if the user limits it.
 
-The count makes the answer the same on every machine. What is not reached is reported, with the best answer so far.
+Counting makes the answer the same on every computer. If the budget ends early, this is reported with the best answer so
+far.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,18 +18,18 @@ _EVERY_S = 5.0  # between lines of progress
 
 @dataclass
 class Budget:
-    """Seconds from now on, the simulated steps so far, and what was not reached.
+    """The time limit, the simulation steps so far, and what was not tried.
 
     Attributes:
         seconds: of wall time; infinite: no limit.
         most: simulated steps of the search.
-        reserve: s of these, kept for what follows the search.
+        reserve: s of these, reserved for the steps after the search.
         lane_steps: samples x steps a sample x simulations so far.
         run_steps: samples x steps a sample of one run of all records.
-        stage: what is being done, in words.
+        stage: the current stage, in words.
         progress: called with a line when a stage begins, and every few seconds within it.
-        skipped: in plain words, in order.
-        stopped: nothing more is allowed, whatever time is left.
+        skipped: skipped steps in plain words, in order.
+        stopped: no further step is allowed.
     """
 
     seconds: float = np.inf
@@ -43,7 +45,7 @@ class Budget:
     _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
 
     def count(self, lane_steps: int) -> None:
-        """Add simulated steps, and report every few seconds."""
+        """Add simulated steps, and report progress every few seconds."""
         self.lane_steps += lane_steps
         elapsed, (last, steps) = self.elapsed, self._reported
         if elapsed - last >= _EVERY_S:
@@ -51,46 +53,58 @@ class Budget:
             most = min(self.most, _RUNS * self.run_steps or np.inf)
             left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
             self._reported = elapsed, self.lane_steps
-            # a hint where the records are so many that the count is the bound
+            # a hint if the records are so many that the number of steps is the limit
             hint = " (--seconds limits them)" if most == self.most else ""
             self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left{hint}")
 
     def begin(self, stage: str) -> None:
-        """Report the beginning of a stage."""
+        """Report the start of a stage."""
         self.stage = stage
         self.progress(stage)
 
     @property
     def elapsed(self) -> float:
-        """Seconds since the beginning."""
+        """Return the seconds since the start."""
         return time.monotonic() - self.began
 
+    @contextmanager
+    def keeping(self, lane_steps: int) -> Iterator[None]:
+        """Reserve the time and the count of so many steps for the work after the search."""
+        seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
+        before = self.reserve, self.most
+        self.reserve += seconds if np.isfinite(self.seconds) else 0.0
+        self.most -= lane_steps
+        try:
+            yield
+        finally:
+            self.reserve, self.most = before
+
     def stop(self, what: str) -> None:
-        """Allow nothing any more, and note what was not tried."""
+        """Stop all further work, and note what was not tried."""
         self.stopped = True
         self.skipped += [what]
 
     @property
     def remaining(self) -> float:
-        """Seconds, below zero where it ran over."""
+        """Return the remaining seconds, negative beyond the limit."""
         if self.stopped:
             return 0.0
         return self.seconds - self.elapsed
 
     @property
     def spent(self) -> bool:
-        """Whether a search must end."""
+        """Return whether a search must end."""
         return self.stopped or self.lane_steps >= self.most or self.remaining <= self.reserve
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
-        """Return whether so many seconds of the search are left for `what`; otherwise it is noted as not tried."""
+        """Return whether enough seconds of the search remain for `what`; otherwise note it as not tried."""
         if not self.spent and self.remaining - self.reserve > needed:
             return True
         self.skipped += [what] if what not in self.skipped else []
         return False
 
     def notes(self) -> tuple[str, ...]:
-        """One line, where anything was skipped."""
+        """Return one line if anything was skipped."""
         if not self.skipped:
             return ()
         after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"

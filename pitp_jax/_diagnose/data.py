@@ -1,11 +1,12 @@
-"""The data of a diagnosis: records beside a nominal, thinned, in the model's scaled coordinates, with folds.
+"""The data of a diagnosis: records with a nominal model, thinned, in the model's scaled coordinates, with folds.
 
     a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
                                                                    lag or a filter of the output for the others)
 
-Every k-th sample is kept, drive (as a force) and motion averaged over the k samples around it by the same weights, so
-that a linear plant's run on the averaged drive is the averaged run. k leaves the fastest mode or drive that matters
-some 50 samples a period; below 10 the simulator's own error earns names. Zero and direction of a record are taken out.
+Every k-th sample is kept. Input (as a force) and motion are averaged over the k samples around it with the same
+weights, so a linear plant's response to the averaged input is its averaged response. k leaves the fastest relevant mode
+or input some 50 samples a period; below 10 the simulator's own error would be reported as effects. Offset and direction
+of each record are removed.
 """
 
 from collections.abc import Sequence
@@ -16,6 +17,7 @@ import numpy as np
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.initial_state import aligned, noise_std
+from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.reduced import centred_means, fastest_hz, samples_before
 from .._record.sets import session_clock
@@ -23,13 +25,14 @@ from .._simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, rates_of, slots_of
 from .simulator import Drive, Film, Simulator, root
 
-PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or drive; fewer where all exceed:
+PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or input; fewer if all together exceed:
 THINNED_SAMPLES = 12_000
-_ENOUGH = 5_000  # samples from which no further record is needed to tell a promising start
+_ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
 STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
-FEWEST_FOLDS = 4  # of fewer records each is cut into blocks
+FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
 _MOST_FOLDS = 6
+_AROUND = 1e-3  # of the force's energy: outside of the band that was excited
 
 
 @dataclass(frozen=True)
@@ -39,9 +42,9 @@ class Series:
     Attributes:
         record: as given.
         output: scaled X as measured, nan where missing, shape (T,).
-        counts: samples that count, shape (T,).
+        counts: True for samples that count, shape (T,).
         span: peak to peak of the measurement, scaled.
-        begins: rest, held or moving; of the last two the first state is estimated.
+        begins: rest, held or moving; the initial state of the last two is estimated.
         noise: scaled standard deviation of the sensor's noise (fifth differences), of one thinned sample.
         zero, direction: measured = direction * (scale X) + zero.
     """
@@ -58,7 +61,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Case:
-    """A nominal beside its records.
+    """A nominal model with its records.
 
     Attributes:
         model: the nominal.
@@ -67,7 +70,8 @@ class Case:
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
         thinned: samples of a record per thinned sample.
-        folds: records left out together; of fewer than four records a block of one, so that there are four at least.
+        folds: records left out together; with fewer than four records, blocks of records, so that there are at least
+            four.
     """
 
     model: Model
@@ -80,16 +84,16 @@ class Case:
 
     @property
     def dt(self) -> float:
-        """Step between thinned samples, s."""
+        """Return the step between thinned samples, s."""
         return self.simulator.drives[0].dt
 
     @property
     def blocks(self) -> int:
-        """Blocks that every record is cut into; 1: records are left out whole."""
+        """Return the number of blocks in every record; 1: records are left out whole."""
         return _parts(len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
-        """Weights 0 or 1 of the samples that a fit without a fold may see; all that count for None."""
+        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all valid samples."""
         rows = [s.counts.astype(float) for s in self.series]
         if fold is not None:
             for k in self.folds[fold]:
@@ -97,27 +101,27 @@ class Case:
         return rows
 
     def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:
-        """Samples of a record that a fold leaves out."""
+        """Return the samples of a record that a fold leaves out."""
         size, block = len(self.series[record].output), fold % self.blocks
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
         return slice(max(first - margin, 0), last + margin)
 
     @property
     def recordings(self) -> dict[str, list[int]]:
-        """Places of the pieces of every recording, by its name."""
+        """Return the indices of the pieces of every recording, by its name."""
         places: dict[str, list[int]] = {}
         for k, s in enumerate(self.series):
             places.setdefault(s.record.name, []).append(k)
         return places
 
     def alone(self, places: Sequence[int]) -> "Case":
-        """Some records by themselves."""
+        """Return the same case with some of its records only."""
         series = tuple(self.series[k] for k in places)
         simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
         return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
 
     def screened(self) -> list[np.ndarray]:
-        """Samples that the first steps of a fit may see: of the records with the widest motion, `_ENOUGH` in all."""
+        """Return samples for the first steps of a fit: of the records with the largest motion, `_ENOUGH` in all."""
         rows = [s.counts.astype(float) for s in self.series]
         kept = 0
         for k in np.argsort([-s.span for s in self.series], kind="stable"):
@@ -127,7 +131,7 @@ class Case:
         return rows
 
     def tested(self, fold: int) -> list[np.ndarray]:
-        """Samples that a fold is judged on."""
+        """Return the samples on which a fold is scored."""
         rows = [np.zeros(len(s.output), bool) for s in self.series]
         for k in self.folds[fold]:
             place = self._left_out(fold, k)
@@ -138,31 +142,31 @@ class Case:
 def build_case(
     model: Model, records: Sequence[Record], devices: Sequence = (), whole: Sequence[Record] | None = None
 ) -> Case:
-    """Thin the records, take out their zeros and directions and find how they begin.
+    """Thin the records, remove their offsets and directions, and determine their initial states.
 
     Args:
         model: the nominal.
-        records: recordings, or pieces of them under their names.
-        devices: that share the runs; none: the default one.
-        whole: the recordings that pieces are of.
+        records: recordings, or named pieces of them.
+        devices: for the runs; empty: the default device.
+        whole: the recordings from which pieces were cut.
 
     Raises:
         BadInput: a nominal that diverges on a record.
     """
     model = at_rate(model, records[0].dt)
-    # of a single record nothing came before
+    # a single record has no earlier one
     known = len(records) > 1 and session_clock(whole or records)
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
             raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
-    # what no slot holds (a trained encoder) is taken off the measurement below
+    # the part of the model that no slot can hold (a trained encoder) is subtracted from the measurement below
     nominal, foreign = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     k = thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
-    far = reaches(model, turned) if known else [0.0] * len(turned)  # what was stretched before stays stretched
+    far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains
     for r, b, reached in zip(turned, begun, far, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
         first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
@@ -174,9 +178,9 @@ def build_case(
         volts = root(force) if square else force
         seen = np.asarray(np.isfinite(x))
         age = model.domain.age(r.time[0]) if known else 0.0
-        # of the first thinned sample, which may stand before the record
+        # of the first thinned sample, which may precede the record
         age = max(age + first_node, 0.0)
-        # a mean of a few samples: one alone carries the whole noise
+        # a mean of several samples, because a single one has the full noise
         first = x[seen][: max(1, min(5, len(x) // 100))].mean()
         starts.append((0.0, 0.0) if rest else (first, 0.0))
         jump = -r.dt / 2 if held else 0.0
@@ -190,25 +194,25 @@ def build_case(
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
-    """The force's integral, exact for a voltage that holds, or runs straight from sample to sample."""
+    """Return the force's integral, exact for a voltage held or linear between samples."""
     a, b = voltage[:-1], voltage[1:]
     force = voltage * np.abs(voltage) if square else voltage
     ramp = np.sign(a + b) * (a * a + a * b + b * b) / 3 if square else (a + b) / 2
     impulse = np.append(0.0, np.cumsum(force[:-1] if held else ramp) * dt)
-    late = dt / 2 if held else 0.0  # a held drive's half sample stands in the nominal's delay
+    late = dt / 2 if held else 0.0  # a held input's half sample is part of the nominal's delay
     return Film(impulse, dt, -first - late, k * dt, (0.0 if rest else float(force[0]), float(force[-1])))
 
 
 def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
-    """V|V| at every sample, such that straight lines between them have the area of the squared ramps of V.
+    """Return V|V| at every sample such that straight lines between them have the area of the squared ramps of V.
 
     A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
-    It is taken off the larger end. A step inside a record would come a sixth of a sample early without it.
+    It is subtracted from the larger end. Otherwise a step within a record would come a sixth of a sample early.
     """
     force = voltage * np.abs(voltage)
     if held:
         return force
-    # the larger end: the smaller may be zero, and a force below it would be a pull
+    # the larger end, because the smaller may be zero, and a negative force would be a pull
     rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])
     size = np.abs(force)
     size[1:] -= rise * larger
@@ -217,18 +221,18 @@ def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
 
 
 def _omega(slots: np.ndarray) -> float:
-    """The frequency of an oscillating core, rad/s; 0 where it is damped or has no spring."""
+    """Return the frequency of an oscillating core, rad/s; 0 if it is damped or has no spring."""
     a0, a1, a2 = (slots[INDEX[k]] for k in CORE)
     return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
 
 
 def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
-    """Steps that a simulation takes between thinned samples `dt` (s) apart."""
+    """Return the number of simulation steps between thinned samples `dt` (s) apart."""
     return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
 
 
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
-    """Samples to average: the fastest of mode and drive keeps `PERIOD` samples a period, fewer beyond `most` in all."""
+    """Return how many samples to average: `PERIOD` samples per period of the fastest mode or input remain."""
     dt = records[0].dt
     forces = [model.input_map.force(r.voltage) for r in records]
     fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
@@ -238,14 +242,14 @@ def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most:
 
 
 def _parts(records: int) -> int:
-    """Parts that each record is cut into, so that there are enough folds."""
+    """Return the number of parts of each record that gives enough folds."""
     return -(-FEWEST_FOLDS // records)
 
 
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
-    """Records left out one by one, in at most six groups of neighbours in range; of few records block by block.
+    """Return the records left out together: single ones, at most six groups, or blocks if there are few records.
 
-    Of at least four recordings all pieces of one are left out together; of fewer every piece is a record of its own.
+    With at least four recordings all pieces of one are left out together; with fewer every piece counts as a record.
     """
     if len(series) < FEWEST_FOLDS:
         return tuple((k,) for k in range(len(series)) for _ in range(_parts(len(series))))
@@ -260,9 +264,10 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
 
 
 def _beside(case: Case, records) -> Case:
-    """The case of a trained nominal, or one with effects that are no slots.
+    """Return the case of a trained nominal, or one with effects that slots cannot hold.
 
-    What they do beside the linear model is taken off the measurement, so that the slots describe the change alone.
+    Their difference from the linear model is subtracted from the measurement, so that the slots describe the change
+    alone.
     """
     scale, model = float(case.model.scales.state[0]), case.model
     runs = case.simulator.run(np.tile(case.nominal, (len(records), 1)), range(len(records)), case.starts)
@@ -274,8 +279,15 @@ def _beside(case: Case, records) -> Case:
     return replace(case, series=tuple(series))
 
 
+def excited_hz(case: Case) -> tuple[float, float]:
+    """Return the frequency band (Hz) with 99.9 % of the force's energy and equal remainders on both sides."""
+    forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
+    ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
+    return ends[0], ends[1]
+
+
 def excitations(case: Case) -> int:
-    """How many distinct excitations there are: sixths of records that differ by 15 % in spread or centre frequency."""
+    """Return the number of distinct excitations: sixths of records that differ by 15 % in spread or frequency."""
     rows = []
     for d in case.simulator.drives:
         for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump

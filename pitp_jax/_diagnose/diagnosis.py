@@ -1,6 +1,6 @@
-"""The diagnosis: where the gap lies, which effect causes it, how far it shrinks (docs/contract.md).
+"""The diagnosis: where the gap lies, which effect causes it, and by how much it shrinks (docs/contract.md).
 
-records -> thinned case -> sets of effects searched out of fold -> verdict, budget, and the best model that beats the
+records -> thinned case -> candidate sets searched out of fold -> verdict, budget, and the best model that beats the
 nominal
 """
 
@@ -19,6 +19,7 @@ from .._record.record import Record
 from .._record.sets import clock_start
 from . import rules
 from .budget import Budget
+from .clocks import put_back, remark
 from .data import FEWEST_FOLDS, Case, build_case, excitations
 from .gap import (
     Gap,
@@ -34,7 +35,7 @@ from .gap import (
     spans,
 )
 from .handing_back import hand_back, package_error
-from .library import CHANGED, CORE, FREE, INDEX
+from .library import CHANGED, CORE, EARLY, FREE, INDEX, SHIFT
 from .next_experiment import Experiment, separate
 from .parts import Parts, parts_of
 from .pieces import Piece, cut
@@ -44,12 +45,12 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .traces import Trace, traces_of
-from .verdict import Decision, decide
+from .verdict import Decision, decide, needed, rival_without
 from .where import locate, motions, nowhere
 
 T = TypeVar("T")
 
-_RUNS_AFTER = 6  # free runs of all recordings behind a search
+_RUNS_AFTER = 6  # free runs of all recordings after a search
 _NO_BETTER = (
     "In the package's own free runs the best set of effects is no better than the nominal model, so none of its "
     "effects is reported."
@@ -67,30 +68,31 @@ _IN_PARTS = "fewer than four records: parts of each were left out in turn, so ot
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What `diagnose` found.
+    """The result of `diagnose`.
 
     Attributes:
         verdict: "explained", "partly", "no_gap" or "unknown".
-        effects: names said, most important first; empty unless explained or partly.
-        equivalent: names these data cannot tell from effects[0].
-        added: what the augmented model has beyond the nominal, with form and parameters.
-        budget, gap, ranking, where, next_experiment: as docs/contract.md names them.
-        probability: per name, P that the best set without it leaves more.
-        fitted, heldout: record names; every record is predicted by a fit that did not see it (of fewer than four
-            records, every part by one that did not see that part).
+        effects: reported effects, most important first; empty unless explained or partly.
+        equivalent: effects that these data do not separate from effects[0].
+        added: effects of the augmented model beyond the nominal, with form and parameters.
+        budget, gap, ranking, where, next_experiment: see docs/contract.md.
+        probability: per effect, P that the best set without it has a larger error.
+        fitted, heldout: record names; every record is predicted by a fit without it (with fewer than four records,
+            every part by a fit without that part).
         folds: records left out together, or in parts.
-        shift: in a refit, the nominal's coefficients over those given, shape (n + 1,).
-        traces: every record beside the nominal and the model that is handed back.
-        notes: one line for whatever was left out, not tried or not said.
-        model: the best model that beats the nominal out of fold, else the nominal.
-        handed_back: its parts beyond the nominal.
-        parts: the same with numbers, intervals and certainty, under every verdict.
-        refit: "asked", "automatic" or "no": whether the nominal's coefficients were fitted along.
-        reason: why the verdict is "unknown", a sentence.
-        term: a force without a name as an equation found in the data.
+        shift: in a refit, the refitted coefficients over the given ones, shape (n + 1,).
+        traces: every record with the outputs of the nominal and the returned model.
+        notes: one line for everything left out, not tried or not reported.
+        model: the best model that beats the nominal out of fold, otherwise the nominal.
+        handed_back: the returned model's parts beyond the nominal.
+        parts: the same with parameters, intervals and certainty, under every verdict.
+        refit: "asked", "automatic" or "no": whether the nominal's coefficients were refitted.
+        reason: why the verdict is "unknown", one sentence.
+        term: an unnamed force as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
-        pieces: where the search worked on pieces of a long set; None: on all of it.
-        interrupted: the search was interrupted; the result is the best of what it had scored.
+        pieces: the pieces of a long set that the search used; None: all of it.
+        clock_shift: time (s) by which the output column was ahead of the input column; removed before the diagnosis.
+        interrupted: the search was interrupted; the result is the best scored so far.
     """
 
     verdict: str
@@ -117,15 +119,16 @@ class Diagnosis:
     reason: str = ""
     lane_steps: int = 0
     pieces: tuple[Piece, ...] | None = None
+    clock_shift: float = 0.0
     interrupted: bool = False
 
     @property
     def records(self) -> dict[str, list]:
-        """Which records were fitted, which were predicted by fits that did not see them, and left out together."""
+        """Return which records were fitted, which were predicted out of fold, and which were left out together."""
         return {"fitted": list(self.fitted), "heldout": list(self.heldout), "folds": [list(f) for f in self.folds]}
 
     def as_json(self, csv: str | None = None) -> dict:
-        """The dict of docs/contract.md; `csv` is where the next experiment was written."""
+        """Return the dict of docs/contract.md; `csv` is the file of the next experiment."""
         experiment = self.next_experiment
         return {
             "verdict": self.verdict,
@@ -144,25 +147,26 @@ class Diagnosis:
             "handed_back": list(self.handed_back),
             "parts": self.parts.as_json(),
             "refit": self.refit,
+            "clock_shift_s": self.clock_shift,
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
             "term": self.term.as_json() if self.term else None,
         }
 
     def __repr__(self) -> str:
-        """Show its first lines, at most ten."""
+        """Return its first lines, at most ten."""
         lines = str(self).splitlines()
         more = [f"and {len(lines) - 9} lines more (print it)"] if len(lines) > 10 else lines[9:10]
         return "\n".join([f"Diagnosis: {lines[0]}", *lines[1:9], *more])
 
     def _repr_html_(self) -> str:
-        """Show the first screen of its page."""
+        """Return the first screen of its page."""
         from .report.page import first_screen
 
         return first_screen(self)
 
     def __str__(self) -> str:
-        """A few lines for the terminal."""
+        """Return a few lines for the terminal."""
         from .report.words import lines
 
         return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes if line != self.reason)])
@@ -178,15 +182,15 @@ def diagnose(
     progress: Callable[[str], None] = lambda line: None,
     mesh: Mesh | None = None,
 ) -> Diagnosis:
-    """Find the unmodelled effect behind the gap between a nominal model and real recordings.
+    """Find the missing effect that causes the gap between a nominal model and recordings.
 
     Args:
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
-        refit_nominal: the nominal was identified on records that carry the effect: its coefficients are fitted along.
-            None: where the nominal was made from the very recordings given (by their sums in its line of descent).
-        exclude: names left out of the catalogue.
-        seconds: of computing; then the best so far is told, and in `notes` what was not tried.
+        refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
+            if the nominal was made from these recordings (by their checksums in its lineage).
+        exclude: effects left out of the catalogue.
+        seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
         mesh: devices of this process that share the runs (`records_mesh`); default one device.
 
@@ -202,7 +206,7 @@ def diagnose(
         >>> print(pitp.diagnose(model, records))  # doctest: +SKIP
         no gap ...
     """
-    model = cast(Model, fitted_of(model))  # reads as one
+    model = cast(Model, fitted_of(model))  # a Fitted has the attributes of a Model
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
     automatic = refit_nominal is None and was_made_from(model, records)
@@ -211,25 +215,18 @@ def diagnose(
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
-    searched, pieces = cut(model, records)
-    case = build_case(model, searched, tuple(mesh.devices.flat) if mesh is not None else (), records)
-    began = limit.elapsed
-    before = package_error(model, records)
-    # free runs of all recordings follow the search: of the best hypotheses, and for the report
-    limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), seconds / 2)
-    misfit, source = own_misfit(case) if not refit_nominal else (0.0, "unknown in a refit")
-    noise = beside_noise(case, 0.0, case.thinned)
-    # in a refit the nominal was made from these records: what it left of others is not known
-    own = beside_noise(case, misfit, case.thinned) if not refit_nominal else 0.0
-    search = Search(case, refit_nominal, exclude, limit, max(own, noise), misfit)
-    interrupted = False
-    if not search.given.rms <= rules.OWN * own:
-        try:
-            search.run()
-        except KeyboardInterrupt:  # what was scored so far is judged; a second interrupt ends it
-            interrupted = True
-            limit.stop("the rest of the search (interrupted)")
-    distinct = excitations(case)
+    devices = tuple(mesh.devices.flat) if mesh is not None else ()
+    found = _searched(model, records, refit_nominal, exclude, limit, devices)
+    early, best = 0.0, found.search.best()
+    if SHIFT.name in best.names and not found.interrupted:
+        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
+            early = best.fit.value(EARLY)
+            notes, records = (remark(early, records[0].dt), *notes), put_back(records, early)
+        exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
+        found = _searched(model, records, refit_nominal, exclude, limit, devices)
+    search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
+    case, own, misfit, source = search.case, found.own, search.misfit, found.source
+    noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
     limit.begin("which of them is sure")
     decision = decide(search, own, noise, distinct)
     handed, made, names_back = hand_back(search, decision, model, records, before)
@@ -244,7 +241,7 @@ def diagnose(
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
-        """Make what only describes the result; its failure is a note."""
+        """Call `make` for a part that only describes the result; a failure becomes a note."""
         try:
             return make()
         except Exception as error:
@@ -259,7 +256,7 @@ def diagnose(
         gap = gap_of(search, decision, of_free_runs(search, model, records, traces), whole, source)
     decision = replace(decision, verdict=as_far_as_closed(decision.verdict, gap))
     errors = errors_of(search, handed.fit)
-    # names that a verdict says stand in the model with their numbers; else what was handed back is told as it is
+    # effects that the verdict reports have their parameters in the model; otherwise the returned model is described
     effects = decision.said
     equivalent = decision.tied.get(effects[0], ()) if effects else ()
     experiment = None
@@ -269,7 +266,7 @@ def diagnose(
     limit.begin("how certain each part is")
     try:
         parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
-    except KeyboardInterrupt:  # rivals that were not searched are left out; a second interrupt ends it
+    except KeyboardInterrupt:  # rivals not searched are left out; a second interrupt ends the diagnosis
         if interrupted:
             raise
         interrupted = True
@@ -315,20 +312,61 @@ def diagnose(
         reason=decision.reason if decision.verdict == "unknown" else "",
         lane_steps=limit.lane_steps,
         pieces=pieces,
+        clock_shift=early,
         interrupted=interrupted,
     )
 
 
+@dataclass(frozen=True)
+class _Searched:
+    """A finished search with its data.
+
+    Attributes:
+        pieces: the pieces of the records that the search used; None: all of them.
+        before: the nominal's error in the package's free runs.
+        own: the nominal's own error, 0 if unknown; source: its origin.
+        interrupted: whether the user interrupted the search.
+    """
+
+    search: Search
+    pieces: tuple[Piece, ...] | None
+    before: float
+    own: float
+    source: str
+    interrupted: bool
+
+
+def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, limit: Budget, devices) -> _Searched:
+    searched, pieces = cut(model, records)
+    case = build_case(model, searched, devices, records)
+    began = limit.elapsed
+    before = package_error(model, records)
+    # free runs of all recordings follow the search: of the best hypotheses, and for the report
+    limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
+    # in a refit the nominal was made from these records, so its error on others is unknown
+    misfit, source = own_misfit(case) if not refit else (0.0, "unknown in a refit")
+    own, noise = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0))
+    search = Search(case, refit, exclude, limit, max(own, noise), misfit)
+    own, interrupted = 0.0 if refit else own, False
+    if not search.given.rms <= rules.OWN * own:
+        try:
+            search.run()
+        except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
+            interrupted = True
+            limit.stop("the rest of the search (interrupted)")
+    return _Searched(search, pieces, before, own, source, interrupted)
+
+
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:
-    """Names of the recordings that were left out together, or in parts."""
+    """Return the names of the recordings that were left out together, or in parts."""
     names = [s.record.name for s in case.series]
     return tuple(dict.fromkeys(tuple(dict.fromkeys(names[k] for k in fold)) for fold in case.folds))
 
 
 def _raw(search: Search):
-    """The nominal's residuals with zeros and starts as the records' beginnings say."""
+    """Return the nominal's residuals with the records' own offsets and initial states."""
     case = search.case
-    # as the records begin, before any zero or start was fitted
+    # with the initial states of the records, before any offset or start was fitted
     runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
     rows = []
     for run, s, residual in zip(runs, case.series, search.given.residuals, strict=True):
@@ -348,14 +386,14 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 
 
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
-    """What separates the names tied, or those that no verdict could tell apart."""
+    """Return the experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
     if decision.said and decision.tied.get(decision.said[0]):
         names = decision.said[0], decision.tied[decision.said[0]][0]
     if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
         return None
     lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])
-    # as large at most: a larger set fits anything, and separates nothing
+    # at most as large, because a larger set fits anything and separates nothing
     rivals = [
         h for h in search.every.values() if h.names and lacking not in h.names and len(h.names) <= len(best.names)
     ]

@@ -1,11 +1,11 @@
-"""Evidence: how much better one set of out-of-fold residuals is than another, and how sure that is.
+"""Evidence: by how much one set of out-of-fold residuals is better than another, and with what probability.
 
     score   S = sum_r n_r log MSE_r / sum_r n_r          (the Gaussian log score with one variance per record)
-    P       share of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
+    P       fraction of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
 
-One large record decides pooled squares, and blocks alone gave 0.99 to second effects that one record knows. Of fewer
-than four records their parts are drawn, those that a fold leaves out: of two records, one is all there is in every
-fourth draw.
+Pooled squares would be dominated by one large record. Drawing blocks alone gave P = 0.99 to second effects that only
+one record shows. With fewer than four records, the parts that a fold leaves out are drawn instead: of two records,
+every fourth draw would contain only one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -24,10 +24,10 @@ class Evidence:
     Attributes:
         squares, sizes: sum of squares and samples of every block.
         records: which record it is of.
-        units: what is drawn with it: a record, or a part of one.
-        floor: mean square of every record that is added to all of them: below it an error is no evidence.
-        least: mean square that is the least of every record: the square of what the nominal leaves where nothing is
-            wrong, which no name may claim to explain.
+        units: drawn together with it: a record, or a part of one.
+        floor: mean square of every record, added to all errors: smaller errors do not count as evidence.
+        least: smallest mean square of every record: the nominal's error on its own records, which no effect can
+            explain.
     """
 
     squares: np.ndarray
@@ -39,44 +39,44 @@ class Evidence:
 
     @property
     def mse(self) -> np.ndarray:
-        """Mean square of every record."""
+        """Return the mean square of every record, shape (records,)."""
         count = self.floor.size
-        # bincount sums blocks by the record they are of
+        # bincount sums the blocks of each record
         total = np.bincount(self.records, self.squares, count)
         mean = total / np.maximum(np.bincount(self.records, self.sizes, count), 1) + self.floor
         return np.maximum(mean, self.least)
 
     @property
     def score(self) -> float:
-        """The score S, the log of the error squared."""
+        """Return the score S, the logarithm of the squared error."""
         weight = np.bincount(self.records, self.sizes, self.floor.size)
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 
     @property
     def bare(self) -> "Evidence":
-        """Without a least: how good a model is, where no name is asked for."""
+        """Return the evidence without the least mean square, to judge a model without reference to effects."""
         return replace(self, least=0.0)
 
     @property
     def rms(self) -> float:
-        """Geometric mean over records of the error."""
+        """Return the geometric mean over records of the rms error."""
         return float(np.exp(self.score / 2))
 
 
 def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0, parts: int = 1) -> Evidence:
-    """Blocks of the samples that are there: about thirty in all, at least six a record.
+    """Return blocks of the valid samples: about thirty in all, at least six per record.
 
     Args:
-        residuals: per record, nan where nothing counts.
+        residuals: per record, nan where samples do not count.
         floors, least: as errors.
-        parts: of every record, drawn apart.
+        parts: of every record, drawn separately.
     """
     total = sum(int(np.isfinite(r).sum()) for r in residuals)
     squares, sizes, records, units = [], [], [], []
     for k, r in enumerate(residuals):
         for n, part in enumerate(np.array_split(r, parts)):
             seen = part[np.isfinite(part)]
-            # blocks, not samples: neighbours on one smooth run are no independent witnesses
+            # blocks instead of samples, because neighbours on a smooth run are not independent
             count = max(_FEWEST, round(_BLOCKS * len(seen) / total)) if len(seen) else 0
             for block in np.array_split(seen, count) if count else ():
                 squares.append(float(np.sum(block**2)))
@@ -88,7 +88,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
 
 
 def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Draw units, then blocks within each.
+    """Yield bootstrap draws: first units (records or parts of one), then blocks within each.
 
     Yields:
         record, times that it was drawn (count,), its blocks, and how often each of them was (count, blocks).
@@ -99,9 +99,9 @@ def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.
         yield int(r), times[:, place] @ first.sizes[place] / first.sizes[place].sum(), place, often[:, place]
 
 
-@lru_cache(maxsize=8)  # all sets of a case are drawn alike, hundreds of times
+@lru_cache(maxsize=8)  # all sets of a case use the same draws, hundreds of times
 def _drawn(units: tuple[int, ...], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """How often the unit of every block was drawn, and the block itself, both (count, blocks)."""
+    """Return how often the unit of every block was drawn, and the block itself, both (count, blocks)."""
     rng, place_of = np.random.default_rng(seed), np.array(units)
     there = np.unique(place_of)
     # with one unit only its blocks can vary
@@ -116,11 +116,11 @@ def _drawn(units: tuple[int, ...], count: int, seed: int) -> tuple[np.ndarray, n
 
 
 def draws(sets: Sequence[Evidence]) -> np.ndarray:
-    """Score every set in every draw, shape (sets, draws); all sets are drawn alike."""
+    """Return the score of every set in every draw, shape (sets, draws); all sets use the same draws."""
     first = sets[0]
     scores, weight = np.zeros((len(sets), _DRAWS)), np.zeros(_DRAWS)
     for r, times, place, often in resampled(first, _DRAWS, seed=0):
-        # a record counts by its samples, as in the score itself; the same blocks for all sets: what they share cancels
+        # a record counts by its samples, as in the score; equal blocks for all sets, so that common parts cancel
         size = times * first.sizes[place].sum()
         weight += size
         count = np.maximum(often @ first.sizes[place], 1)
@@ -130,6 +130,6 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
 
 
 def probability(a: Evidence, b: Evidence, ratio: float = 1.0) -> float:
-    """P that the rms error of `a` is below `ratio` times that of `b`."""
+    """Return P that the rms error of `a` is below `ratio` times that of `b`."""
     first, second = draws([a, b])
     return float(np.mean(first < second + 2 * np.log(ratio)))

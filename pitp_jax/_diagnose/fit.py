@@ -1,11 +1,11 @@
-"""Fit: hypotheses on whole free runs by Levenberg-Marquardt in float64, all of them side by side.
+"""Fit hypotheses to whole free runs by Levenberg-Marquardt in float64, all in one batch.
 
     minimise  L = sum_r n_r log(MSE_r + eps_r),    MSE_r = mean over counted samples of (y - y_measured - C_r c_r)^2
 
-one variance per record, so no record decides alone (log score). C_r: the record's own zero, and the linear plant's free
-responses where it does not begin at rest; c_r is eliminated linearly, and the first state moves with it. A step solves
-(H + lambda diag H) d = -g with H = sum w_r J_r' J_r, w_r = 1 / (MSE_r + eps_r). Slopes are differences in float64: they
-cost a run a number and need no program of their own. A run that diverges is a rejected step.
+Each record has its own variance, so no record dominates (log score). C_r holds the record's offset and, if it does not
+start at rest, the linear plant's free responses; c_r is eliminated linearly, and the initial state follows. A step
+solves (H + lambda diag H) d = -g with H = sum w_r J_r' J_r, w_r = 1 / (MSE_r + eps_r). Derivatives are finite
+differences in float64: one run per parameter, no further program. A step whose run diverges is rejected.
 """
 
 import cmath
@@ -20,10 +20,10 @@ from .budget import Budget
 from .data import Case
 from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
 
-_EPS = 1e-5  # of a record's range: below, an error is no evidence
+_EPS = 1e-5  # of a record's range: a smaller error is not evidence
 _STEP = 1e-4
-_LONGEST = 1.5  # largest change of a logarithm in one step, or of a number in units of itself and its start
-_REFUSED = 8  # steps refused until the damping stands at its end
+_LONGEST = 1.5  # largest change of a logarithm in one step, or of a parameter relative to its value and start
+_REFUSED = 8  # rejected steps until the damping is at its maximum
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
 PREVIEW = -1  # the fold of first steps: some records only
 _SAMPLES_AT_ONCE = 2**23  # simulated samples in memory at once: 64 MiB
@@ -31,17 +31,18 @@ _SAMPLES_AT_ONCE = 2**23  # simulated samples in memory at once: 64 MiB
 
 @dataclass
 class Fit:
-    """One hypothesis on its way down.
+    """One hypothesis during its fit.
 
     Attributes:
-        names: of the search, in the order added.
+        names: effects of the search, in the order added.
         free: slots that are fitted.
         slots: all of them, shape (slots,).
-        unit: size of every free number at its start.
+        unit: size of every free parameter at its start.
         starts: (x, v) at the first samples, shape (records, 2).
-        fold: left out of the fit; None: nothing.
-        residuals: per record y - y_measured less its own zero and start, nan where nothing counts; None: not run.
-        cost: L over the samples it may see.
+        fold: the fold left out of the fit; None: none.
+        residuals: per record y - y_measured without its own offset and initial state, nan where samples do not count;
+            None: not run.
+        cost: L over the samples of the fit.
         taken: steps that lowered it.
     """
 
@@ -60,51 +61,51 @@ class Fit:
     done: bool = False
 
     def __post_init__(self):
-        """Units of the free numbers, where none are given."""
+        """Set the units of the free parameters, if none are given."""
         if not len(self.unit):
             self.unit = np.array([max(abs(self.slots[INDEX[k]]), 1e-12) for k in self.free])
 
     def again(self, **changes) -> "Fit":
-        """A copy to go on with."""
+        """Return a copy of the fit, to be continued."""
         fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "taken": 0}
         fresh["done"] = False
         return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
-        """Copy it with other numbers free; the copy has not been run."""
+        """Return a copy of the fit with other free parameters, without a run."""
         return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
 
     def value(self, name: str) -> float:
-        """Of one slot."""
+        """Return the value of one slot."""
         return float(self.slots[INDEX[name]])
 
 
 def coordinates(fit: Fit) -> np.ndarray:
-    """Free numbers, positive ones as logarithms."""
+    """Return the free parameters, positive ones as logarithms."""
     places = [INDEX[k] for k in fit.free]
     values = fit.slots[places]
     log = LOGARITHM[places]
     return np.where(log, np.log(np.maximum(values, 1e-300)), values)
 
 
-def at(fit: Fit, z: np.ndarray, lowest: Mapping[str, float] = MappingProxyType({})) -> np.ndarray:
-    """Slots at other free coordinates, none below its `lowest`."""
+def at(fit: Fit, z: np.ndarray, bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})) -> np.ndarray:
+    """Return the slots at other free coordinates, each within its `bounds`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
     slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
-    for name in lowest.keys() & set(fit.free):
-        slots[INDEX[name]] = max(slots[INDEX[name]], lowest[name])
+    for name in bounds.keys() & set(fit.free):
+        slots[INDEX[name]] = np.clip(slots[INDEX[name]], *bounds[name])
     return slots
 
 
 def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
-    """C of a record, shape (T, columns), and the (x, v) that each column starts with, shape (columns, 2)."""
+    """Return C of a record, shape (T, columns), and the initial (x, v) of each column, shape (columns, 2)."""
     size = len(case.series[record].output)
     if case.series[record].begins == "rest":
         return np.ones((size, 1)), np.zeros((1, 2))
     a0, a1, a2 = (float(slots[INDEX[k]]) for k in CORE)
     time = np.arange(size) * case.dt
-    # the sensor's zero, then what the plant does by itself
+    # the sensor's offset, then the plant's free responses
     columns, begins = [np.ones(size)], [(0.0, 0.0)]
     # order one: a single real pole
     poles: list[complex] = [complex(-a0 / a1)]
@@ -112,7 +113,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
         root = cmath.sqrt(a1 * a1 - 4 * a0 * a2)
         poles = [(-a1 + root) / (2 * a2), (-a1 - root) / (2 * a2)]
     for pole in map(complex, poles if not poles[0].imag else poles[:1]):
-        if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the zero stands for x(0)
+        if abs(pole) * time[-1] < 1e-3 and a2 > 0:  # no spring: the offset represents x(0)
             continue
         size, angle = np.exp(np.clip(pole.real * time, -700, 50)), pole.imag * time
         columns.append(size * np.cos(angle))
@@ -124,14 +125,14 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
 
 
 def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Rows (T, n) less what the columns explain of them where they are seen, and the coefficients."""
+    """Return rows (T, n) minus their projection on the columns where they are observed, and the coefficients."""
     inside = columns[seen > 0]
     if columns.shape[1] == 1:
         mean = rows[seen > 0].mean(0, keepdims=True)
         return rows - mean, mean
-    # QR, not normal equations: free responses of two close poles are nearly one column
+    # QR instead of normal equations, because free responses of two close poles are nearly collinear
     q, r = np.linalg.qr(inside)
-    # a column that the others have already is left out
+    # a column that depends on the others is left out
     keep = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-300)
     q = q * keep
     r = r + np.diag(np.where(keep, 0.0, 1.0)) * max(np.abs(r).max(), 1e-300)
@@ -145,12 +146,12 @@ class Fitter:
     def __init__(self, case: Case, budget: Budget | None = None):
         self.case = case
         self.budget = budget or Budget()
-        self.lowest: dict[str, float] = {}  # what a slot may not fall below
+        self.bounds: dict[str, tuple[float, float]] = {}  # of slots, by what these records show
         self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, groups: Sequence[list[tuple[np.ndarray, int, np.ndarray]]]) -> Iterator[list[np.ndarray]]:
-        """Yield the free runs of every group of (slots, record, start); only some groups are in memory at once."""
+        """Simulate (slots, record, start) in groups, few of which are in memory at once, and yield their free runs."""
         first, drives = 0, self.case.simulator.drives
         while first < len(groups):
             last, samples = first, 0
@@ -172,10 +173,10 @@ class Fitter:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
     def _residual(self, slots, starts, record: int, run):
-        """Projected residual, moved start.
+        """Return the projected residual and the corrected initial state.
 
-        A record's own zero and start are taken from all of it, whichever samples a fit may see: without a block at its
-        beginning a start that decays was extrapolated backwards, to twice the range of a plant of minutes.
+        A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
+        block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
         """
         s = self.case.series[record]
         if not np.isfinite(run).all():
@@ -186,7 +187,7 @@ class Fitter:
         return np.where(s.counts, residual[:, 0], np.nan), moved
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
-        """(cost, residuals, starts) of every fit at other slots; `everything`: on records left out, too."""
+        """Return (cost, residuals, starts) of every fit at other slots; `everything`: on records left out too."""
         places = [range(len(self.case.series)) if everything else self._seen(f.fold) for f in fits]
         jobs = [[(p, k, f.starts[k]) for k in some] for f, p, some in zip(fits, slots, places, strict=True)]
         results = []
@@ -204,22 +205,26 @@ class Fitter:
             if residuals[k] is None:
                 return np.inf
             seen = self._masks[fold][k] > 0
-            # a record's own variance: one of a large motion does not decide alone
+            # a record's own variance, so that one with large motion does not decide alone
             total += seen.sum() * np.log(np.mean(residuals[k][seen] ** 2) + self.floors[k])
         return float(total)
 
     def differentiate(self, fits: Sequence[Fit]):
-        """Jacobians of the projected residuals, record by record."""
+        """Compute the Jacobians of the projected residuals, record by record."""
         jobs, owners = [], []
         for fit in fits:
             z = coordinates(fit)
             log = LOGARITHM[[INDEX[k] for k in fit.free]]
-            # relative to a number and its start: one that is near zero still gets a step that shows
+            # relative to a parameter and its start, so that one near zero still gets a visible step
             step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
-            moved = [at(fit, z + move, self.lowest) for move in np.diag(step)]
+            moved = [at(fit, z + move, self.bounds) for move in np.diag(step)]
+            for n, k in enumerate(fit.free):
+                if moved[n][INDEX[k]] == fit.slots[INDEX[k]]:  # at its upper bound: downwards
+                    step[n] = -step[n]
+                    moved[n] = at(fit, z + np.eye(len(z))[n] * step[n], self.bounds)
             fit.jacobian = [np.zeros((0, 0))] * len(self.case.series)
             for k in self._seen(fit.fold):
-                # the unmoved run beside them, in the same block: rounding of another program would not cancel
+                # the unmoved run in the same block, because rounding of another program would not cancel
                 jobs.append([(p, k, fit.starts[k]) for p in (*moved, fit.slots)])
                 owners.append((fit, k, step))
         for (fit, k, step), runs in zip(owners, self._simulate(jobs), strict=True):
@@ -229,24 +234,25 @@ class Fitter:
             fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
 
     def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """H and g."""
+        """Return H and g."""
         h, g = np.zeros((len(fit.free),) * 2), np.zeros(len(fit.free))
         assert fit.jacobian is not None
         for k in self._seen(fit.fold):
             seen = self._masks[fit.fold][k] > 0
             j, r = fit.jacobian[k][seen], fit.residuals[k][seen]
-            # the derivative of n log MSE by MSE
+            # the derivative of n log MSE with respect to MSE
             weight = 1 / (np.mean(r**2) + self.floors[k])
             h, g = h + weight * j.T @ j, g + weight * j.T @ r
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Every fit some steps further down; what has converged stays.
+        """Advance every fit by several steps; converged fits do not change.
 
-        A step that is refused counts for none: a fold's fit that had not moved had seen what it was judged on.
+        Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
+        samples.
         """
         fresh = [f for f in fits if not np.isfinite(f.cost)]
-        for _ in range(2):  # the second with the first states that the first has found
+        for _ in range(2):  # the second time with the initial states found by the first
             for f, (cost, residuals, starts) in zip(fresh, self.evaluate(fresh, [f.slots for f in fresh]), strict=True):
                 if cost < f.cost:
                     f.cost, f.residuals, f.starts = cost, residuals, starts
@@ -258,15 +264,15 @@ class Fitter:
             if not active or self.budget.spent:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
-            trials = [at(f, coordinates(f) + self._move(f), self.lowest) for f in active]
+            trials = [at(f, coordinates(f) + self._move(f), self.bounds) for f in active]
             for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
                 self._judge(f, p, cost, residuals, starts)
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """The cost of every fit after one Gauss-Newton step, with the slopes of its front for what both have.
+        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
 
-        A start costs a run and one more for each new number; steps of its own take five times as many.
+        A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """
         self.differentiate([f for f in {id(f): f for f in fronts}.values() if f.jacobian is None and f.free])
         probes = []
@@ -292,7 +298,7 @@ class Fitter:
         return min(probe.cost, self._cost(after, PREVIEW))
 
     def _move(self, fit: Fit) -> np.ndarray:
-        """The damped step of the free coordinates, none of them too far."""
+        """Return the damped, limited step of the free coordinates."""
         h, g = self.normal(fit)
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
         move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
@@ -306,7 +312,7 @@ class Fitter:
         if gain > 0:
             fit.slow, fit.taken = fit.slow + 1 if gain < _SLOW else 0, fit.taken + 1
             fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
-            # trusted more: the quadratic held
+            # less damping, because the quadratic was accurate
             fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
             fit.done = fit.slow >= 2
         else:
@@ -317,7 +323,7 @@ class Fitter:
         """Refit every fit without each fold, starting from the fit to all records.
 
         Returns:
-            out-of-fold residuals of every fit, record by record; its slots without each fold, shape (folds, slots).
+            out-of-fold residuals of every fit, by record; its slots without each fold, shape (folds, slots).
         """
         self.differentiate([f for f in fits if f.jacobian is None and f.free])
         tasks = []
@@ -337,7 +343,7 @@ class Fitter:
                 place += 1
                 for k, tested in enumerate(self.case.tested(fold)):
                     if tested.any():
-                        far = 10 * self.case.series[k].span  # what diverges there is no model
+                        far = 10 * self.case.series[k].span  # a diverged run is not a model there
                         rows[k][tested] = far if residuals[k] is None else np.clip(residuals[k][tested], -far, far)
             per_fit.append(rows)
         slots = np.array([t.slots for t in tasks]).reshape(len(fits), len(self.case.folds), -1)

@@ -1,8 +1,8 @@
-"""The gap: errors of the model as given, without effects and as handed back, and the fraction that was closed.
+"""The gap: errors of the given model, of the model without effects and of the returned one, and the closed fraction.
 
     closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   pooled over records
 
-Out of fold. Where a search worked on pieces of long recordings: of free runs of these models over all recordings.
+All errors are out of fold. If the search used pieces of long recordings, they are free runs over all recordings.
 """
 
 from collections.abc import Sequence
@@ -26,18 +26,18 @@ from .shares import energies
 from .traces import Trace, levelled
 from .verdict import Decision
 
-_GAP = 1.1  # times the floor: no gap to close up to there
-_FAR = 10.0  # ranges: what diverges is off by so much
+_GAP = 1.1  # times the floor: up to there no gap to close
+_FAR = 10.0  # ranges: the error assigned to a diverged run
 
 
 @dataclass(frozen=True)
 class Gap:
-    """Errors in % of range, pooled over records, and the fraction that was closed with its 95 % interval.
+    """Errors in % of range, pooled over records, and the closed fraction with its 95 % interval.
 
     Attributes:
-        before: of the nominal (refitted in a refit); after: with what was chosen; unrefitted: of the nominal as given.
-        noise_floor: the nominal's own error, None where it is not known; floor_from: where that comes from.
-        explainable: what the best set or the reference leaves.
+        before: of the nominal (refitted in a refit); after: of the chosen set; unrefitted: of the given nominal.
+        noise_floor: the nominal's own error, None if unknown; floor_from: its source.
+        explainable: error of the best set or the reference.
     """
 
     before: float
@@ -55,7 +55,7 @@ class Errors:
     """Residuals of three models on the same samples.
 
     Attributes:
-        given, base, handed: of the nominal as given, of the linear model without effects, of the model handed back.
+        given, base, handed: of the given nominal, of the linear model without effects, of the returned model.
         spans: range of every record, scaled.
     """
 
@@ -66,12 +66,12 @@ class Errors:
 
 
 def out_of_fold(search: Search, handed: Hypothesis) -> Errors:
-    """Collect the errors of the records that were searched, each predicted by a fit that did not see it."""
+    """Return the errors of the searched records, each predicted by a fit without it."""
     return Errors(search.given.evidence, search.base.evidence, handed.evidence, spans(search))
 
 
 def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces: Sequence[Trace]) -> Errors:
-    """Collect the errors over all recordings: `traces` are free runs of the nominal and of the model handed back."""
+    """Return the errors over all recordings; `traces`: free runs of the nominal and of the returned model."""
     scale = float(search.case.model.scales.state[0])
     given, handed = ([_error(getattr(t, which), t) for t in traces] for which in ("nominal", "augmented"))
     base = given
@@ -85,23 +85,23 @@ def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces
 
 
 def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
-    """Error of a run, nan where nothing is measured; a run that diverges is far off."""
+    """Return the error of a run, nan where nothing is measured, a large value where it diverged."""
     far = _FAR * (np.nanmax(trace.measured) - np.nanmin(trace.measured))
     error = np.nan_to_num(run - trace.measured, nan=far, posinf=far, neginf=-far)
     return np.where(np.isfinite(trace.measured), np.clip(error, -far, far), np.nan)
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
-    """Compare the errors.
+    """Return the gap computed from the errors of the three models.
 
     Args:
         search, decision: of the diagnosis.
         errors: of the three models.
-        own: the nominal's own error, scaled, 0 where it is not known; source: where that comes from.
+        own: the nominal's own error, scaled, 0 if unknown; source: where it comes from.
     """
     low = floor_percent(errors.spans, own)
     before, after, given = (percent(e, errors.spans) for e in (errors.base, errors.handed, errors.given))
-    # of all that was tried, names or none: how far down any explanation came
+    # over all that was tried, with or without effects: the smallest error of any hypothesis
     least = min(min(h.evidence.score for h in search.every.values()), decision.bar.score)
     room = before * float(np.exp((least - search.base.evidence.score) / 2))
     ci95 = interval(errors.base, errors.handed, errors.spans, low)
@@ -111,12 +111,14 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 
 
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
-    """The verdict, but at best "partly" where the interval of the closed fraction reaches 0."""
-    return "partly" if verdict == "explained" and gap.ci95 is not None and gap.ci95[0] <= 0 else verdict
+    """Return the verdict, limited to "partly" if the closed fraction may be 0 or a large error remains."""
+    nothing = gap.ci95 is not None and gap.ci95[0] <= 0
+    much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
+    return "partly" if verdict == "explained" and (nothing or much) else verdict
 
 
 def closed(before: float, after: float, low: float) -> float | None:
-    """The closed fraction; None where there was nothing to close."""
+    """Return the closed fraction; None if there was nothing to close."""
     if before <= _GAP * low or before <= 0:
         return None
     return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
@@ -128,16 +130,17 @@ def percent(errors: Evidence, spans: np.ndarray) -> float:
 
 
 def spans(search: Search) -> np.ndarray:
-    """Range of every record that was searched, scaled."""
+    """Return the range of every searched record, scaled."""
     return np.array([s.span for s in search.case.series])
 
 
 def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -> tuple[float, float] | None:
-    """Records and blocks drawn anew for both errors; within [-1, 1]. None where there is nothing to close.
+    """Return the interval of the closed fraction from redrawn records and blocks, within [-1, 1]; None without a gap.
 
-    The nominal's own error is an estimate, too, and at most what it is told as: the lower end is that without it.
+    The nominal's own error is also an estimate, and at most the stated value; the lower end of the interval is computed
+    without it.
     """
-    # the same draws for both: what they share cancels in their ratio
+    # the same draws for both, so that common parts cancel in their ratio
     e = 100**2 * energies([before, after], spans)
     if np.sqrt(e[0, 0]) <= _GAP * low:
         return None
@@ -152,17 +155,17 @@ def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -
 
 
 def floor_percent(spans: np.ndarray, own: float) -> float:
-    """The nominal's own error in % of range."""
+    """Return the nominal's own error in % of range."""
     return 100 * own * float(np.sqrt(np.mean(1 / spans**2))) if own else 0.0
 
 
 def own_misfit(case: Case) -> tuple[float, str]:
-    """What the nominal leaves beyond the noise of the records it was identified on (scaled), and where that is from.
+    """Return the nominal's own error beyond noise on its own records (scaled), and its source in words.
 
     M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 
     It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
-    robot's noise times that hid any gap.
+    product with the robot's noise would hide any gap.
     """
     origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
     if not np.isfinite(origin.misfit):
@@ -172,24 +175,24 @@ def own_misfit(case: Case) -> tuple[float, str]:
 
 
 def _noise(case: Case) -> float:
-    """The sensor's white noise, scaled; geometric mean over records."""
+    """Return the sensor's white noise, scaled; geometric mean over records."""
     scale = float(case.model.scales.state[0])
     each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
     return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
-    """Return the error that counts beside the noise, for records whose samples are averaged in blocks.
+    """Return the nominal's own error, adjusted for noise, for records whose samples are averaged in blocks.
 
-    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples takes the white part off on
-    either side of the comparison, which stays that of the full rate.
+    (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples removes white noise
+    on both sides, so the comparison stays that of the full rate.
     """
     noise, own = _noise(case), rules.OWN
     return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / averaged) * noise**2) / own)
 
 
 def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
-    """Say on what the search worked, and the errors over what it left out."""
+    """Return a sentence on the pieces searched, and the errors on the remainder."""
     searched = {r.name: np.zeros(r.samples, bool) for r in records}
     for p in pieces:
         time = next(r.time for r in records if r.name == p.record)
@@ -205,7 +208,7 @@ def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequen
 
 
 def _over(traces: Sequence[Trace], which: str, places: Sequence[np.ndarray]) -> float:
-    """Free-run error (% of range) of "nominal" or "augmented" at some samples, pooled over recordings."""
+    """Return the free-run error (% of range) of "nominal" or "augmented" at some samples, pooled over recordings."""
     squares = []
     for t, here in zip(traces, places, strict=True):
         e = _error(getattr(t, which), t)[here]

@@ -1,7 +1,7 @@
-"""Which model is handed back: the best that beats the nominal out of fold, and in the package's own free runs.
+"""Choose the model to return: the best that beats the nominal out of fold, and in the package's own free runs.
 
-The search has a simulator of its own, so a model counts only once the rollout that users run confirms it: its error is
-below the nominal's, and it stays bounded from rest under the widest voltage of the records.
+The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
+nominal model's, and it stays bounded from rest under the largest voltage of the records.
 """
 
 from collections.abc import Sequence
@@ -15,17 +15,17 @@ from .._simulate.prediction import predict
 from .._simulate.voltage_only import rollout
 from . import rules
 from .evidence import probability
-from .library import CORE, FREE, model_of
+from .library import CORE, FREE, SHIFT, model_of
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision
 
-_DOUBLED = 4  # times at most that the steps a sample of a model handed back are doubled
+_DOUBLED = 4  # times at most that the steps a sample of a returned model are doubled
 
 
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """The best hypothesis that beats the nominal with P >= SURE and whose model does so in the package's own free runs.
+    """Return the best hypothesis that beats the nominal with P >= SURE and in the package's own free runs.
 
     Args:
         search, decision, model, records: of the diagnosis.
@@ -35,7 +35,7 @@ def hand_back(
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     given, error, alone = search.given.evidence.bare, _error, decision.alone
-    # a set that is not judged may predict better than the one that was
+    # a set that is not judged may predict better than the judged one
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
     if decision.verdict != "explained":
@@ -44,9 +44,9 @@ def hand_back(
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
     for h in tried:
-        if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
+        if not h.fit.free or SHIFT.name in h.names or probability(h.evidence.bare, given) < rules.SURE:
             continue
-        # numbers shared by machines that differ foresee none of them
+        # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
             continue
         # in the package's own parts
@@ -68,7 +68,7 @@ def _error(h: Hypothesis) -> float:
 def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
     """Return the model with as many integration steps a sample as its effects need, and its error.
 
-    Where it leaves `most` or more its steps are doubled until that gains nothing.
+    If its error is at least `most`, its steps are doubled until the error no longer falls.
     """
     error = package_error(made, records)
     for _ in range(_DOUBLED):
@@ -83,14 +83,14 @@ def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, 
 
 
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:
-    """Return whether the model stays bounded, from rest, under every recorded drive scaled to the largest voltage."""
+    """Return whether the model stays bounded, from rest, under every recorded input scaled to the largest voltage."""
     top = max(float(np.abs(r.voltage).max()) for r in records)
     played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
 def package_error(model: Model, records: Sequence[Record]) -> float:
-    """Geometric mean over records of the free run's error, zero fitted; infinite where one diverges."""
+    """Return the geometric mean over records of the free run's error, offset fitted; infinite if one diverges."""
     total = []
     for p, r in zip(predict(model, records), records, strict=True):
         seen = p.scored & np.isfinite(r.displacement)

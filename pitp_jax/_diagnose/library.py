@@ -1,7 +1,7 @@
-"""The library: starts of every row that a search may add, and a model as the numbers of all rows and back.
+"""The library: starts of every catalogue row in a search, and conversion between models and row parameters.
 
-A form is one way to start an effect: a row of the catalogue with its numbers, in the model's scaled coordinates. One
-name of the search may have several. `slots` are the core's three coefficients, then the numbers of every row.
+A form is one way to start an effect: a catalogue row with its parameters in the model's scaled coordinates. An effect
+may have several forms. `slots` are the core's three coefficients, then the parameters of every row.
 """
 
 from collections.abc import Iterator
@@ -15,18 +15,26 @@ from .._effects import CATALOGUE, lookup
 from .._effects.effect import Effect
 from .._effects.found_term import TERM
 from .._effects.physical import in_scales
-from .._effects.spec import EffectSpec
+from .._effects.spec import EffectSpec, Parameter
 from .._model.drive import DirectDrive
 from .._model.encoder import ConstantEncoder
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model, linear_model
 
 FREE = "term"  # a force without a name
-CHANGED = "parameter_change"  # the label of coefficients that have moved
-# names that share a law in one form or another: a hypothesis holds at most one form of each
+# a fault of the records: it is removed from them and is not a part of a model
+SHIFT = EffectSpec(
+    "clock_shift", "early output", (Parameter("time", "s", off=0.0, linear=False),),
+    "The output column is early beside the input column.", "y(t) = x(t + T), T = time", "record", "IN",
+    law=lambda p, u, z: u,
+)  # fmt: skip
+CHANGED = "parameter_change"  # the label of coefficients that have changed
+_SIDES = 1.2  # the excited band extends beyond a resonance by at least this factor on both sides
+# names that share a law in one of their forms: a hypothesis holds at most one form of each
 _GROUPS = {
     "stiffening": "spring", "softening": "spring", "creep": "viscoelastic", "relaxation": "viscoelastic",
-    "charge_leak": "charge", "charge_retention": "charge", TERM.name: FREE,
+    "charge_leak": "charge", "charge_retention": "charge", "electrode_rc": "electrode", "bleeder": "electrode",
+    TERM.name: FREE,
 }  # fmt: skip
 
 
@@ -35,9 +43,9 @@ class Form:
     """One way to start an effect.
 
     Attributes:
-        name: of the search, which takes at most one form of a name.
+        name: effect in the search, which takes at most one form of an effect.
         spec: the row; None: the coefficients of the nominal.
-        start: values of the numbers that it sets, by their slots.
+        start: values of its parameters, by their slots.
     """
 
     name: str
@@ -46,19 +54,19 @@ class Form:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """The numbers that are fitted: those that do not start where they do nothing."""
+        """Return the parameters to fit: those that do not start at a neutral value."""
         moved = (k for k, v in self.start.items() if v != OFF[INDEX[k]] or SHAPE[INDEX[k]])
         return tuple(k for k in moved if not FIXED[INDEX[k]])
 
     @property
     def stiffness(self) -> float:
-        """Stiffness that it adds, in units of the core's."""
+        """Return the stiffness that the effect adds, in units of the core's."""
         return next(iter(self.start.values())) if self.spec and self.spec.stiffens else 0.0
 
 
 @dataclass(frozen=True)
 class Scale:
-    """What starts are multiples of, from the nominal and the records (`starts_of`)."""
+    """Units of the starts, from the nominal and the records (`starts_of`)."""
 
     tau: float
     dt: float
@@ -76,19 +84,41 @@ class Scale:
     a1: float
     a2: float
     force: float
-    radian: float = 0.0  # 1 / rad in scaled coordinates; 0: the output is no angle
+    radian: float = 0.0  # 1 / rad in scaled coordinates; 0: the output is not an angle
+    fastest: float = np.inf  # scaled speed that 0.5 % of the samples exceed
+    low: float = 0.0  # rad/s, lower and upper end of the excited band
+    high: float = np.inf
 
 
 def forms(s: Scale) -> list[Form]:
-    """List every form with its starts."""
-    made = []
+    """Return the forms that can be fitted to these records, with their starting parameters."""
+    made, within = [], bounds(s)
     for key, *starts in _starts(s):
         spec = _BY_KEY[key]
-        made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in starts]
-    # a mass that moved: heavier and lighter; beside none, two that are small and large beside the damping
+        ends = [within.get(k, (-np.inf, np.inf)) for k in slots_of_row(spec)]
+        if all(low < high for low, high in ends):
+            begun = [[float(np.clip(v, *e)) for v, e in zip(n, ends, strict=True)] for n in starts]
+            made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in begun]
+    # a changed mass: heavier and lighter; without a mass, a small and a large one relative to the damping
     masses = (1.2 * s.a2, 0.85 * s.a2) if s.a2 > 0 else (0.05 * s.tau * _damping(s), 0.5 * s.tau * _damping(s))
     mass = lookup("added_mass")
     return made + [Form(mass.name, mass, {"a2": a2}) for a2 in masses]
+
+
+def bounds(s: Scale) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the parameters that records determine only within their own range, by their slots.
+
+    If a force changes over a speed or a distance beyond all recorded ones, this parameter only scales the force.
+    """
+    span, found = s.top - s.bottom, {}
+    for name, p in zip(NAMES[3:], _NUMBERS, strict=True):
+        if p.slow:  # a memory of the input faster than the plant is a filter of it, not a charge
+            found[name] = s.tau, np.inf
+        elif p.resonance:  # outside the band it is equivalent to a lag or a stiffness
+            found[name] = _SIDES * s.low, s.high / _SIDES
+        elif p.off is None and (p.speed == 1 or p.length == 1):
+            found[name] = 0.0, s.fastest if p.speed else span
+    return found
 
 
 def group(name: str) -> str:
@@ -97,17 +127,17 @@ def group(name: str) -> str:
 
 
 def slots_of_row(spec: EffectSpec) -> tuple[str, ...]:
-    """The slots of a row's numbers."""
+    """Return the slots of a row's parameters."""
     return tuple(f"{spec.key}, {p.name}" for p in spec.parameters)
 
 
 def _damping(s: Scale) -> float:
-    # a plant without damping of its own still gets one to measure others by
+    # a plant without its own damping still needs a unit of damping
     return max(s.a1, 0.1 * s.tau * max(s.a0, s.force / s.reach))
 
 
 def _starts(s: Scale) -> Iterator[tuple]:
-    """Yield every row with the numbers that it starts from."""
+    """Yield every row with its starting parameters."""
     x, pull, tau, volts, damping = s.reach, s.force, s.tau, s.voltage, _damping(s)
     span, middle = s.top - s.bottom, (s.top + s.bottom) / 2
     terms = (0, -0.1, 0), (0.2, 0, 0), (0.05, 0.1, 0), (0, 0.1, 0.1)
@@ -150,11 +180,14 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
     yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
+    yield "bleeder: one lag each way", (0.05 * tau, 0.5 * tau), (0.5 * tau, 0.05 * tau), (0.3 * tau, 2 * tau)
+    yield "force_lag: one lag", (0.2 * tau,), (tau,)
     yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
     yield "voltage_clip: hard", *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
     yield "voltage_offset: constant", (-0.05 * volts,), (0.05 * volts,)
     yield "dead_zone: symmetric", (0.05 * volts,), (0.2 * volts,)
     yield "delay: pure", (s.dt,), (0.1 * tau,), (0.5 * tau,)
+    yield SHIFT.key, (0.5 * s.dt,), (0.1 * tau,)
     yield "charge_leak: one trap", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "charge_retention: one store", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "stretch_coupling: linear", (0.1 / x,), (-0.1 / x,)
@@ -176,12 +209,12 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield TERM.key, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
 
 
-_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM)}
+_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, SHIFT)}
 _UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
 # the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
-ROWS = tuple(r for r in (*CATALOGUE, TERM) if r in _STARTED | _BESIDE or r.linear)
+ROWS = tuple(r for r in (*CATALOGUE, TERM, SHIFT) if r in _STARTED | _BESIDE or r.linear)
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
@@ -191,19 +224,19 @@ LOGARITHM = np.array([True] * 3 + [p.positive for p in _NUMBERS])
 LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])
 MOST = np.array([np.inf] * 3 + [p.most for p in _NUMBERS])
 COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in ROWS for p in spec.parameters])
-SLOW = tuple(name for name, p in zip(NAMES[3:], _NUMBERS, strict=True) if p.slow)
-# numbers that do nothing where the strength beside them is off
+# parameters without influence while their effect's strength is off
 SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
 FIXED = np.array([False] * 3 + [p.fixed for p in _NUMBERS])
 _ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
 PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
-# what stands behind the core of a linear model
+# effects behind the core of a linear model
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
     slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")
 )
-# numbers of a memory, and of the same law once more, by the name of the search
+(EARLY,) = slots_of_row(SHIFT)
+# parameters of a memory, and of the same law once more, by the name of the search
 DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for r in ROWS if r.second}
-# names that are one number of the linear model, and those that nothing tells apart
+# names that are one parameter of the linear model, and those that recordings cannot separate
 LONE = {spec.name for spec in CATALOGUE if spec.moves}
 TWINS = {spec.name: (spec.twin,) for spec in CATALOGUE if spec.twin}
 _MOST_POLES = 4  # of a model whose poles are all in its core, its lag and its filter (`sections`)
@@ -211,33 +244,33 @@ _IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coeffici
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
-    """Return the catalogue's name of a fitted form: signs and time constants decide those that share one."""
+    """Return the catalogue name of a fitted form; signs and time constants decide between names that share it."""
     mine = [spec for spec in ROWS if group(spec.name) == name != FREE and is_on(spec, slots)]
     # of two memories the slower one
     return min((_reported(spec, slots, scale)[0] for spec in mine), default=name)
 
 
 def family(name: str) -> str:
-    """Of a catalogue name."""
+    """Return the family of a catalogue name."""
     return next((c.family for c in CATALOGUE if c.name == name), "parametric" if name != FREE else "found")
 
 
 def is_on(spec: EffectSpec, slots: np.ndarray) -> bool:
-    """Whether a row does anything at these numbers."""
+    """Return whether a row has any influence with these parameters."""
     pairs = zip(spec.parameters, slots[PLACES[spec]], strict=True)
     return any(p.off is not None and v != p.off for p, v in pairs)
 
 
 def effects_of(slots: np.ndarray, scale: Scale, only: str = "") -> list[tuple[Effect, tuple[str, ...]]]:
-    """List the effects that these slots are, each as the row that it is reported as, with its numbers' slots.
+    """Return the effects in these slots, each as the reported row, with the slots of its parameters.
 
-    `only`: those of this name of the search.
+    `only`: those of this effect.
     """
     found = []
     for spec in ROWS:
         if is_on(spec, slots) and only in ("", group(spec.name)):
             name, form, numbers = _reported(spec, slots, scale)
-            # where only the name changes the row stays
+            # the row stays if only the name changes
             row = _BY_KEY.get(f"{name}: {form}", spec)
             found.append((row(*numbers), slots_of_row(spec)))
     return found
@@ -252,7 +285,7 @@ def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, s
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
-    """The nominal's slots, and whether it has parts that are none (a trained encoder, other effects)."""
+    """Return the nominal's slots, and whether it has other parts (a trained encoder, other effects)."""
     slots = OFF.copy()
     core, lag, filtered = sections(model.physical_coefficients)
     slots[: min(len(core), 3)] = (core * model.scales.state[0] / model.scales.force)[:3]
@@ -273,13 +306,13 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
 
 
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
-    """The nominal with these slots in place of its own, and what was added, each with its numbers' slots.
+    """Return the nominal with these slots in place of its own, and the added effects, each with its slots.
 
-    A model of order 3 or 4 holds its lag or filter in its coefficients, and there it is changed. A trained model keeps
-    its order: where a fit gives the core a mass that it has not, its coefficients stay.
+    A model of order 3 or 4 contains its lag or filter in its coefficients, which are changed. A trained model keeps its
+    order: if a fit adds a mass that its core lacks, its coefficients stay.
     """
     slots, order = slots.copy(), model.order
-    for k in (DELAY, LAG, FILTER):  # what a fit has pushed to nothing is not there
+    for k in (DELAY, LAG, FILTER):  # a value fitted to almost zero counts as absent
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     slots[:3] = _no_faster(slots[:3], 2 / model.dt)
     same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
@@ -298,9 +331,9 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
         change[:3] = slots[:3]
         for r in changed:
             change[PLACES[r]] = slots[PLACES[r]]
-        if model.hold == "zoh" and change[INDEX[DELAY]]:  # half a sample is the hold's
+        if model.hold == "zoh" and change[INDEX[DELAY]]:  # half a sample belongs to the hold
             change[INDEX[DELAY]] = max(change[INDEX[DELAY]] - model.dt / 2, 0.0)
-        # the nominal keeps its own parts; those that moved are made anew
+        # the nominal keeps its own parts; changed ones are rebuilt
         own = tuple(e for e in model.effects if e.spec not in changed)
         added = effects_of(change, scale)
         return replace(model.changed(factors), effects=(*own, *(e for e, _ in added))), added
@@ -319,7 +352,7 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
 
 
 def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
-    """Return a_0 ... a_n of a core with the lag and the filter that `sections` takes from this order, scaled."""
+    """Return a_0 ... a_n of a core with the lag and the filter that `sections` assigns to this order, scaled."""
     poles = np.polynomial.Polynomial(slots[: min(order, 2) + 1])
     if order == 3:
         poles *= np.polynomial.Polynomial([1.0, slots[INDEX[LAG]]])
@@ -330,16 +363,16 @@ def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
 
 
 def rates_of(model: Model) -> tuple[float, float]:
-    """The rates of the scales of x' and x'' in a simulation (1/s), whatever the model's order."""
+    """Return the rates of the scales of x' and x'' in a simulation (1/s), for any order."""
     rates = np.asarray(model.scales.rates, float)
     return float(rates[0]), float(rates[min(1, len(rates) - 1)])
 
 
 def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | None]:
-    """a_0 ... a_n as a core of order two at most, a lag (s) and a filter (s, damping) behind it.
+    """Split a_0 ... a_n into a core of order two at most, a lag (s) and a filter (s, damping) behind it.
 
-    The core has the dominant pair: the slowest that oscillates, else the slowest two poles; poles beyond order four are
-    lumped into the lag.
+    The core has the dominant pair: the slowest oscillating one, otherwise the slowest two poles. Poles beyond order
+    four are combined with the lag.
     """
     a = np.asarray(a, float)
     if len(a) <= 3:
@@ -365,10 +398,10 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
 
 
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
-    """Move the poles beyond `most` (1/s) in to it and leave the slow end of the response as it was.
+    """Return coefficients with poles limited to `most` (1/s) and an unchanged slow response.
 
-    The search steps a linear plant exactly, whatever its poles; the rollout does not, and samples do not show poles
-    that fast: a damper whose own lag was fitted to nothing ran away there.
+    The search steps a linear plant exactly for any poles; the rollout does not, and samples do not show such fast
+    poles. For example, a damper with a fitted lag of almost zero diverged in the rollout.
     """
     order = int(np.flatnonzero(a)[-1])
     poles = np.roots(a[order::-1])

@@ -1,10 +1,10 @@
-"""The next experiment: the excitation under which two explanations differ most.
+"""The next experiment: the excitation whose responses differ most between two hypotheses.
 
     maximise over excitations  rms_t (y_a - y_b) / sigma     within stroke, voltages and slews already played
 
-Both are rolled out under sines (low, through the resonance, high), steps, and, where voltages of either sign were
-played, a carrier of either sign, which parts what lags before the square from what lags behind it. Each starts from
-zero volts and goes back there; one that would move further than what was played is made smaller.
+Both are simulated under sines (low, at the resonance, high), steps, and, if voltages of both signs were applied, a
+carrier of both signs. The carrier separates a lag before the square from a lag after it. Each experiment starts and
+ends at zero volts; one whose stroke would exceed the recorded stroke is made smaller.
 """
 
 from dataclasses import dataclass, replace
@@ -24,8 +24,8 @@ class Experiment:
     """A playable excitation.
 
     Attributes:
-        separates: the two names.
-        excitation: what it is, in words.
+        separates: the two effects.
+        excitation: its description in words.
         time, voltage: s and V, shape (T,).
         difference: predicted rms difference of the outputs over the noise.
     """
@@ -38,7 +38,7 @@ class Experiment:
 
 
 def excitations(low: float, top: float, slew: float, hz: float, dt: float, size: float) -> dict[str, np.ndarray]:
-    """Voltages by what they are, of that share of the range; each about sixty natural periods long, and the ramps."""
+    """Return voltages by name, with this fraction of the range, each about sixty natural periods long plus ramps."""
     t = np.arange(int(np.clip(60 / hz / dt, 2000, 40000))) * dt
     drives, middle = {}, (top + low) / 2 if low >= 0 else 0.0
     for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
@@ -60,13 +60,13 @@ def excitations(low: float, top: float, slew: float, hz: float, dt: float, size:
 
 
 def _from_zero(voltage: np.ndarray, step: float) -> np.ndarray:
-    """With a ramp from zero volts before it and one back behind it, of half the largest step a sample."""
+    """Return the voltage with ramps from and to zero volts, at half the largest step a sample."""
     up, down = (np.linspace(0.0, v, int(np.ceil(2 * abs(v) / step)) + 1)[:-1] for v in (voltage[0], voltage[-1]))
     return np.concatenate([up, voltage, down[::-1]])
 
 
 def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tuple[str, str]) -> Experiment | None:
-    """The best of `excitations`; None where every one would move further than what was played."""
+    """Return the best of `excitations`; None if every one would move further than the recorded motion."""
     volts = np.concatenate([s.record.voltage for s in case.series])
     dt = case.series[0].record.dt
     slew = max(float(np.abs(np.diff(s.record.voltage)).max()) for s in case.series) / dt
@@ -80,7 +80,7 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
         drives = tuple(Drive(centred_means(u, k, False), dt * k, (0.0, 0.0)) for u in tried.values())
         imagined = replace(case.simulator, drives=drives)
         places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
-        # both explanations under the same voltages, from rest
+        # both hypotheses under the same voltages, from rest
         runs = [imagined.run(np.tile(h.fit.slots, (len(drives), 1)), places, starts) for h in (a, b)]
         for (what, u), x, y in zip(tried.items(), *runs, strict=True):
             if not (np.isfinite(x).all() and np.isfinite(y).all()):

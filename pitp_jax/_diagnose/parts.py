@@ -1,17 +1,17 @@
-"""Parts: what the model that is handed back has beyond the nominal, with its numbers and with how certain each part is.
+"""Parts: the effects in the returned model beyond the nominal, with their parameters and the certainty of each.
 
     certain   the verdict reports it
-    tied      the verdict reports it, with names that these recordings do not separate from it
+    tied      the verdict reports it, with effects that these recordings do not separate from it
     likely    P >= LIKELY against the best hypothesis without it, and LISTED of the closed energy
-    none      neither of these; also coefficients that a refit fits along with every effect
+    none      otherwise; also coefficients that are refitted together with every effect
 
-A number's interval is 1.96 standard errors wide on either side: the larger of the error from blocks of residuals and
-of the error from the refits without each fold (a jackknife over recordings),
+A parameter's interval is 1.96 standard errors wide on either side. The standard error is the larger of two: from blocks
+of residuals, and from the refits without each fold (a jackknife over recordings):
 
     var = (F - 1) / F sum_f (theta_f - mean theta)^2,
 
-widened to the values of hypotheses that are as good. Recordings do not show the end of a memory that lasts longer than
-a third of the longest of them: such a time constant has a lower bound and no upper one.
+The interval includes the values of equally good hypotheses. Recordings do not show the end of a memory that lasts
+longer than a third of the longest one: such a time constant has a lower bound and no upper one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -32,23 +32,24 @@ from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision, closing_fractions, needed, rival_without
 
 _NORMAL = 1.96
-_FARTHEST = 5.0  # of a logarithm's error: a factor of e^10 is no number
+_FARTHEST = 5.0  # of a logarithm's error: a factor of e^10 is not a usable estimate
 _ANOTHER = "an excitation of another kind than those recorded"
 
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the handed-back model.
+    """One part of the returned model.
 
     Attributes:
         effect, form: as in the catalogue; "parameter_change" for the nominal's coefficients.
-        parameters: name to value, unit and 95 % interval (its upper end None: a lower bound; None: not determined).
-        fraction: of the error's energy that the model closes.
-        probability: P that the best hypothesis without it leaves more; None where that was not asked.
+        parameters: name to value, unit and 95 % interval (upper end None: only a lower bound; None: not determined).
+        fraction: of the error energy removed by the model.
+        probability: P that the best hypothesis without it has a larger error; None if not computed.
         certainty: "certain", "tied", "likely" or "none".
-        tied: names that these recordings do not separate from it.
-        recording: what to record to make a likely part certain, in words.
-        experiment: the same, to play; None where no excitation within what was played tells it from its best rival.
+        tied: effects that these recordings do not separate from it.
+        recording: the recording that would make a likely part certain, in words.
+        experiment: the same as a voltage; None if no excitation within the recorded limits separates it from its best
+            rival.
     """
 
     effect: str
@@ -64,7 +65,7 @@ class Part:
 
 @dataclass(frozen=True, repr=False)
 class Parts(Shown):
-    """The parts of the handed-back model, the largest first; `frame()` has a row for each of their parameters."""
+    """The parts of the returned model, the largest first; `frame()` has a row for each of their parameters."""
 
     parts: tuple[Part, ...] = field(default=())
 
@@ -78,7 +79,7 @@ class Parts(Shown):
         return self.parts[place]
 
     def as_json(self) -> list[dict]:
-        """As docs/contract.md has it."""
+        """Return the list of docs/contract.md."""
         told = [vars(p) | {"tied": list(p.tied)} for p in self.parts]
         return [{k: v for k, v in one.items() if k != "experiment"} for one in told]
 
@@ -98,12 +99,12 @@ Factors = dict[str, tuple[float, float] | None]
 
 
 def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple[Model, list]) -> Parts:
-    """List the parts of the model that is handed back.
+    """Return the parts of the returned model.
 
     Args:
         search, decision: of the diagnosis.
-        handed: the hypothesis that is handed back.
-        made: its model, and the effects added, each with its slots.
+        handed: the returned hypothesis.
+        made: its model, and the added effects with their slots.
     """
     if not handed.fit.free:
         return Parts()
@@ -117,7 +118,7 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
         found.append(Part(label, form, told, taken[name], decision.probabilities.get(label), "none"))
     judged = [_judged(search, decision, handed, n, p) for n, p in zip(handed.names, found, strict=True)]
     judged.sort(key=lambda p: -p.fraction)
-    # what a refit fits along with every effect closes nothing of the refitted model's error
+    # coefficients refitted with every effect close nothing of the refitted model's error
     beside = [(e, slots) for n, e, slots in effects if n not in handed.names]
     along = [Part(e.name, e.form, numbers.of([(e, slots)]), 0.0, None, "none") for e, slots in beside]
     claimed = {k for name in handed.names for k in _own_slots(search, name)}
@@ -128,19 +129,19 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
 
 
 def _own_slots(search: Search, name: str) -> list[str]:
-    """List the numbers of the linear model that a name of the search moves."""
+    """Return the parameters of the linear model that an effect of the search changes."""
     if name == PARAMETERS:
         return list(search.movable)
     return [k for form in search.library if form.name == name for k in form.start if k in search.movable]
 
 
 def _search_name(slots: Sequence[str]) -> str:
-    """Return the name under which the search tries the row of these slots."""
+    """Return the search name of the catalogue row with these slots."""
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
 def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part) -> Part:
-    """The part with its certainty, and with the recording that would make it certain where it is likely."""
+    """Return the part with its certainty; for a likely part also the recording that would make it certain."""
     if part.effect in decision.said:
         tied = decision.tied.get(part.effect, ())
         return replace(part, certainty="tied" if tied else "certain", tied=tied)
@@ -161,7 +162,7 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
 
 
 class _Numbers:
-    """The numbers of a hypothesis with their intervals."""
+    """The parameters of a hypothesis with their intervals."""
 
     def __init__(self, search: Search, h: Hypothesis, model: Model):
         self.search, self.h, self.model = search, h, model
@@ -170,7 +171,7 @@ class _Numbers:
         self.longest, self.session = longest / 3, max(search.scale.session, longest) / 3
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
-        """Return the numbers of the effects of one part; a second effect of the part has a 2 behind its names."""
+        """Return the parameters of the effects of one part; those of a second effect have the suffix 2."""
         told: dict[str, dict] = {}
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})
@@ -195,7 +196,7 @@ class _Numbers:
 
 
 def _interval_factors(search: Search, h: Hypothesis) -> Factors:
-    """Return the ends of each fitted number's interval over its value; None where the records do not determine it."""
+    """Return the ends of each fitted parameter's interval over its value; None if the records do not determine it."""
     errors, places = errors_of(search, h.fit), [INDEX[k] for k in h.fit.free]
     folds = _coordinates(h.without, places) if len(h.without) else np.zeros((1, len(places)))
     jackknife = np.sqrt((len(folds) - 1) * np.var(folds, 0))
@@ -217,11 +218,11 @@ def _interval_factors(search: Search, h: Hypothesis) -> Factors:
 
 
 def _coordinates(slots: np.ndarray, places: Sequence[int]) -> np.ndarray:
-    """Return numbers as they are fitted: the logarithm of each positive one."""
+    """Return parameters as they are fitted: the logarithm of each positive one."""
     values = slots[..., list(places)]
     return np.where(LOGARITHM[list(places)], np.log(np.maximum(values, 1e-300)), values)
 
 
 def _is_as_good(other: Hypothesis, h: Hypothesis) -> bool:
-    """Return whether a hypothesis leaves at most GAIN more than the one handed back, or not certainly more."""
+    """Return whether a hypothesis has at most GAIN more error than the returned one, or not certainly more."""
     return bool(other.names) and probability(h.evidence, other.evidence, 1 - rules.GAIN) < rules.SURE

@@ -3,8 +3,8 @@
     distance of two pieces = |f_a - f_b| + OTHER [they are of different recordings]
     f = (spread, log10 centre frequency, mean) of the force and of the motion;  spread and mean in units of the largest
 
-The first piece has the largest motion; each further one lies farthest from all that were chosen before, until their
-samples take the steps that a run may take. Motion that differs is so seen before motion that repeats.
+The first piece has the largest motion. Each further piece lies farthest from all chosen ones, until their samples use
+up the steps that a run may take. Different motion is thus chosen before repeated motion.
 """
 
 from collections.abc import Sequence
@@ -21,13 +21,13 @@ from .library import slots_of
 RUN_STEPS = 20_000  # samples x steps a sample of one run of all records: a search makes 2,000 to 30,000 runs
 _PIECES = 6  # at least
 _SHORTEST = 300  # thinned samples of a piece, at least
-_OTHER = 0.15  # distance of two recordings as such
-_STILL = 0.05  # of the largest motion of a recording: a piece below it shows nothing
+_OTHER = 0.15  # distance added between pieces of different recordings
+_STILL = 0.05  # of the largest motion of a recording: a piece with less shows nothing
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of a recording, from and to in s of its own time."""
+    """A part of a recording, with its start and end in the recording's own time (s)."""
 
     record: str
     from_s: float
@@ -39,11 +39,11 @@ def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tu
 
     Args:
         model: the nominal.
-        records: that move.
+        records: recordings that move.
 
     Returns:
-        the records and None where a run of all of them takes at most `RUN_STEPS`; else pieces of them, each with the
-        name of its recording and its times, and where they are from.
+        the records and None if a run of all of them takes at most `RUN_STEPS`. Otherwise pieces of them, each with the
+            name and times of its recording, and their origins.
     """
     model, (nominal, _) = at_rate(model, records[0].dt), slots_of(model)
     k, samples = thinning(model, nominal, records), sum(r.samples for r in records)
@@ -53,7 +53,7 @@ def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tu
     k = thinning(model, nominal, records, most=np.inf)
     steps = steps_a_sample(nominal, k * records[0].dt)
     most = int(min(THINNED_SAMPLES, RUN_STEPS / steps)) * k
-    # of recordings that differ one piece each, as far as that leaves pieces of a useful length
+    # one piece of each distinct recording, as far as the pieces remain long enough
     groups = len(_distinct(_features(model, [_all(r) for r in records], records), _OTHER))
     size = max(most // max(groups, _PIECES), min(_SHORTEST * k, most // _PIECES))
     windows = [w for r in records for w in _windows(r, size)]
@@ -94,7 +94,7 @@ def _all(record: Record) -> _Window:
 
 
 def _windows(record: Record, size: int) -> list[_Window]:
-    """Equal parts of at most `size` samples that move and are measured; a record that is no longer, whole."""
+    """Return equal parts of at most `size` samples that move and are measured; a shorter record as a whole."""
     edges = np.linspace(0, record.samples, -(-record.samples // size) + 1).astype(int)
     windows = [_Window(record, int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
     moves = [_spread(record.displacement[w.first : w.last]) for w in windows]
@@ -102,7 +102,7 @@ def _windows(record: Record, size: int) -> list[_Window]:
 
 
 def _spread(values: np.ndarray) -> float:
-    """Standard deviation of what was measured; 0 where that is less than half."""
+    """Return the standard deviation of the measured samples; 0 if less than half are measured."""
     there = np.isfinite(values)
     return float(values[there].std()) if 2 * there.sum() > len(values) else 0.0
 
@@ -115,7 +115,7 @@ def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record
     for signals in (forces, [r.displacement for r in records]):
         parts = [signals[at[id(w.record)]][w.first : w.last] for w in windows]
         spread = np.array([_spread(p) for p in parts])
-        # of the differences over that of the values: the centre of the band
+        # rms of the differences over that of the values: the centre of the band
         speed = np.array([_spread(np.diff(p)) for p in parts]) / np.maximum(spread, 1e-300)
         moves = spread > _STILL * spread.max()
         hertz = np.log10(np.maximum(np.where(moves, speed, np.median(speed[moves])), 1e-300))
@@ -125,7 +125,7 @@ def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record
 
 
 def _distinct(features: np.ndarray, apart: float) -> list[int]:
-    """Rows of which no two lie nearer than `apart`."""
+    """Return the indices of rows at least `apart` from each other."""
     kept: list[int] = []
     for n, row in enumerate(features):
         if not kept or np.linalg.norm(features[kept] - row, axis=1).min() > apart:
@@ -134,7 +134,7 @@ def _distinct(features: np.ndarray, apart: float) -> list[int]:
 
 
 def _farthest(features: np.ndarray, owners: Sequence[int]) -> list[int]:
-    """All rows, each the farthest from those before it; the first has the largest motion."""
+    """Return all rows in an order in which each is the farthest from those before it, the largest motion first."""
     owner, order = np.array(owners), [int(np.argmax(features[:, 3]))]
     distance = np.full(len(features), np.inf)
     while len(order) < len(features):

@@ -1,4 +1,4 @@
-"""The reference: how much of an error a flexible model explains from the input, without a name for it.
+"""The reference: how much of an error a flexible black-box model predicts from the input.
 
     y - y_h = sum_j w_j phi_j,   ridge, its penalty chosen out of fold;   phi of the free run (x, v) of a hypothesis h
 
@@ -6,8 +6,8 @@ LG   low passes of the input, and the linear plant's own response to sixteen for
 LSG  the same forces unfiltered besides
 LV   low passes with the products of their leading principal components (Volterra)
 
-No plays: a reference that holds a mechanism steals its name. It is a bar, not a ceiling: forces along a run that lacks
-them cannot follow friction.
+Plays are excluded: a reference that contains a mechanism would explain that effect itself. The reference is a lower
+bound, because forces along a run without friction cannot follow friction.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ _ROWS = 20_000  # rows that are fitted
 
 def _lowpass(w: np.ndarray, dt: float, tau: float) -> np.ndarray:
     keep = np.exp(-dt / max(tau, 1e-12))
-    # from the first value on: a start at zero would be a step that nobody played
+    # starts at the first value, because a start at zero would add a step that was not played
     return lfilter([1 - keep], [1, -keep], w - w[0]) + w[0]
 
 
@@ -47,7 +47,7 @@ def _forces(x: np.ndarray, v: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
 
 
 class _Features:
-    """Functions of every record, for one hypothesis."""
+    """Basis functions of every record, for one hypothesis."""
 
     def __init__(self, case: Case, h: Hypothesis):
         drives = case.simulator.drives
@@ -55,17 +55,17 @@ class _Features:
         runs = [np.nan_to_num(r) for r in runs]
         self.longest = max(len(d.voltage) * d.dt for d in drives)
         top = max(np.abs(d.voltage).max() for d in drives)
-        # one unit for all records: weights are shared among them
+        # one unit for all records, because they share the weights
         sx = np.std(np.concatenate(runs)) + 1e-12
         speeds = [np.gradient(r, d.dt) for r, d in zip(runs, drives, strict=True)]
         sv = np.std(np.concatenate(speeds)) + 1e-12
         a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in CORE)
-        # a plant without a spring has no static gain to scale by
+        # a plant without a spring has no static gain for the scale
         unit = a0 if a0 > 0 else a1 / case.dt / 100
         poly = [a2 / unit, a1 / unit, a0 / unit] if a2 > 0 else [a1 / unit, a0 / unit]
         self.parts: list[dict[str, list[np.ndarray]]] = []
         for run, speed, d in zip(runs, speeds, drives, strict=True):
-            # the linear plant as a filter, so that a force is seen as the motion it makes
+            # the linear plant as a filter, so that a force appears as its motion
             b, a = bilinear([1.0], poly, 1 / d.dt)
             x, v, u = np.clip(run / sx, -8, 8), np.clip(speed / sv, -8, 8), d.voltage / top
             forces = _forces(x, v, u)
@@ -74,14 +74,14 @@ class _Features:
             self.parts.append({"L": _bank(u, d.dt, self.longest), "S": forces, "G": answered, "Z": [x, v]})
 
     def columns(self, family: str) -> list[np.ndarray]:
-        """Shape (T, functions) of every record."""
+        """Return the basis functions of every record, shape (T, functions)."""
         rows = [np.stack([c for letter in family if letter in p for c in p[letter]], 1) for p in self.parts]
         if "V" not in family:
             return rows
         banks = [np.stack([*p["L"], *p["Z"]], 1) for p in self.parts]
         whole = np.concatenate(banks)
         mean, sd = whole.mean(0), whole.std(0) + 1e-3
-        # leading directions of the bank alone: all products of thirty lags would be thousands of columns
+        # leading directions of the bank alone, because all products of thirty lags would be thousands of columns
         axes = np.linalg.svd(((whole - mean) / sd)[:: max(1, len(whole) // 3000)], full_matrices=False)[2].T[:, :8]
         spread = (((whole - mean) / sd) @ axes).std(0) + 1e-2
         products = []
@@ -94,7 +94,7 @@ class _Features:
 
 
 def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
-    """What the best family leaves of a hypothesis, out of fold."""
+    """Return the out-of-fold residual of the best family for a hypothesis."""
     features, tried = _Features(case, h), []
     for family in _FAMILIES:
         tried += _ridge(case, h, features.columns(family), floors)
@@ -102,14 +102,15 @@ def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
 
 
 def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndarray) -> list[Evidence]:
-    """Out-of-fold evidence of every penalty.
+    """Return the out-of-fold evidence of every penalty.
 
-    Moments are taken once of every stretch of rows that the same folds see; the fit without a fold adds its stretches.
+    Moments are computed once for every stretch of rows that belongs to the same folds; the fit without a fold adds its
+    stretches.
     """
     folds, weights = range(len(case.folds)), 1 / np.sqrt(h.evidence.mse)  # records weigh as in the log score
     masks = [case.masks(fold) for fold in folds]
     bits = [np.sum([(m[k] > 0).astype(np.int64) << f for f, m in enumerate(masks)], 0) for k in range(len(columns))]
-    # neighbours say the same: of a long case every so many rows are fitted, and all are judged
+    # Neighbours are redundant: in a long case every n-th row is fitted, and all are scored.
     step = -(-sum(map(len, columns)) // _ROWS)
     moments = [_moments(x, y, b, step) for x, y, b in zip(columns, h.fit.residuals, bits, strict=True)]
     rows = [[np.full(len(s.output), np.nan) for s in case.series] for _ in _PENALTIES]
@@ -121,7 +122,7 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
         for k, tested in enumerate(case.tested(fold)):
             if tested.any():
                 x = columns[k][tested]
-                # clipped beside what was seen in the fit: outside a product of three grows without end
+                # clipped to the fitted range, outside which a product of three grows without limit
                 z = np.clip((x - x.mean(0)) / size, 1.5 * low - 1e-9, 1.5 * high + 1e-9)
                 e = h.residuals[k][tested, None] - z @ w
                 e = e - (0.0 if case.blocks > 1 else np.nanmean(e, 0))
@@ -145,9 +146,9 @@ class _Moments:
 
 
 def _moments(x: np.ndarray, y: np.ndarray, seen: np.ndarray, step: int) -> dict[int, _Moments]:
-    """Moments of every `step`-th row, by the folds that see them (bits of `seen`)."""
+    """Return moments of every `step`-th row, by the folds that use them (bits of `seen`)."""
     x, y, seen = x[::step], y[::step], (seen * np.isfinite(y))[::step]
-    # about the record's own mean: squares of what lies far from zero would cancel
+    # about the record's own mean, because squares far from zero would cancel
     centred, parts = x - (x[seen > 0].mean(0) if (seen > 0).any() else 0.0), {}
     for bits in np.unique(seen[seen > 0]):
         a, b = centred[seen == bits], y[seen == bits]
@@ -156,7 +157,7 @@ def _moments(x: np.ndarray, y: np.ndarray, seen: np.ndarray, step: int) -> dict[
 
 
 def _solved(records: list[list[_Moments]], weights: np.ndarray):
-    """Ridge of the standardised columns: weights (columns, penalties), sizes, least and largest; None: no rows."""
+    """Return ridge weights (columns, penalties) of standardised columns, sizes, least and largest; None if no rows."""
     n, xx, xy, low, high = 0, 0.0, 0.0, np.inf, -np.inf
     for parts, w in zip(records, weights, strict=True):
         if not parts:

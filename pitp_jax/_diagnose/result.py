@@ -1,4 +1,4 @@
-"""What a diagnosis hands out, in physical units: the ranking, the added effects, the traces."""
+"""Results of a diagnosis in physical units: the ranking, the added effects, the parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -14,24 +14,24 @@ from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, effect
 from .search import Search
 
 _BLOCKS = 30
-_LEAST = 1e-10  # of the largest eigenvalue: below, slopes by differences hold no information
-_LOST = 0.01  # of a number, in directions without information: then it is not determined
+_LEAST = 1e-10  # of the largest eigenvalue: below it, numerical slopes hold no information
+_LOST = 0.01  # of a parameter, in directions without information: above it the parameter is not determined
 _PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names them
 
 
 @dataclass(frozen=True)
 class Ranked:
-    """One name's best form by itself.
+    """The best form of one effect by itself.
 
     Attributes:
         effect, family, form: as in the catalogue.
         parameters: name to value, unit and standard error.
-        train, heldout: error left, % of range, of the fit to all records and out of fold.
+        train, heldout: error, % of range, of the fit to all records and out of fold.
         closed_fraction, ci95: as in `Gap`.
         probability: P that it beats the linear model.
 
-    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, where the fit to all records leaves more
-    than the third-best candidate leaves out of fold: it was not refitted without each fold.
+    `heldout` and `probability` are nan, and `closed_fraction` and `ci95` None, for a candidate that was not refitted
+    without each fold: its fit to all records has a larger error than the third-best candidate out of fold.
     """
 
     effect: str
@@ -55,9 +55,9 @@ class Added:
 
 
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
-    """Standard errors of the free numbers (of logarithms where positive): block sandwich, B / (B - p).
+    """Return standard errors of the free parameters (of logarithms if positive): block sandwich, B / (B - p).
 
-    Infinite where the records hold no information about a number.
+    Infinite if the records contain no information about a parameter.
     """
     if not fit.free:
         return {}
@@ -71,13 +71,13 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
         r = np.nan_to_num(fit.residuals[k])
         weight = 1 / (np.mean(r[s.counts] ** 2) + search.floors[k])
         blocks = max(3, round(_BLOCKS * s.counts.sum() / total))
-        # scores of whole blocks: residuals within one are correlated
+        # scores of whole blocks, because residuals within one are correlated
         for j, e in zip(np.array_split(fit.jacobian[k], blocks), np.array_split(r, blocks), strict=True):
             score = weight * j.T @ e
             meat += np.outer(score, score)
             count += 1
     inverse, known = _inverse(h)
-    plain = np.diag(inverse)  # not below what independent residuals would give
+    plain = np.diag(inverse)  # not below the value for independent residuals
     wide = count / max(count - len(fit.free), 1)
     variance = np.maximum(np.diag(inverse @ meat @ inverse) * wide, plain)
     errors = np.where(known, np.sqrt(np.maximum(variance, 0)), np.inf)
@@ -85,7 +85,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
 
 
 def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Invert a normal matrix where it has information, and tell which numbers that leaves determined."""
+    """Invert a normal matrix in the directions with information; return also which parameters are determined."""
     d = np.sqrt(np.maximum(np.diag(h), 0))
     unit = np.where(d > 0, d, 1.0)
     value, axes = np.linalg.eigh(h / np.outer(unit, unit))
@@ -95,10 +95,10 @@ def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
-    """Parameters of one effect in physical units; `names`: the slots they are."""
+    """Return the parameters of one effect in physical units; `names`: their slots."""
     rows = {}
     for slot, (p, value) in zip(names, effect.numbers(), strict=True):
-        if float(value) == p.off:  # a term that is not there
+        if float(value) == p.off:  # a term that is off
             continue
         number, unit = physical(model, p, float(value))
         error = None
@@ -110,12 +110,12 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
 
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
-    """The effects beyond the nominal, with their numbers."""
+    """Return the effects beyond the nominal, with their parameters."""
     return tuple(Added(e.name, e.form, in_units(model, e, names, fit, errors)) for e, names in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
-    """The linear model's numbers over those given."""
+    """Return the linear model's parameters divided by the given ones."""
     nominal, rows = search.case.nominal, {}
     for k in search.movable:
         if k in fit.free:
@@ -126,12 +126,12 @@ def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
 
 
 def factor_name(slot: str) -> str:
-    """Name a number of the linear model, over the one given."""
+    """Return the name of a parameter of the linear model, relative to the given one."""
     return f"{slot[0]}_{slot[1]} over given" if slot in CORE else f"{_PLAIN[slot]} over given"
 
 
 def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
-    """Every name's best form by itself, best first."""
+    """Return the best form of every effect by itself, best first."""
     rows = []
     ranges, base = spans(search), search.base.evidence
     before = percent(base, ranges)
@@ -139,7 +139,7 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
     for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
         mine = next(iter(effects_of(fit.slots, search.scale, only=fit.names[0])), None)
-        # each takes slopes of its own: of the first three, which a reader compares
+        # each needs its own slopes: for the first three, which a reader compares
         errors = errors_of(search, fit) if len(rows) < 3 else {}
         numbers = in_units(search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
         moved = label == CHANGED

@@ -1,10 +1,10 @@
-"""Search: sets of effects, forward by a beam of two with a backward step, each scored out of fold.
+"""Search over sets of effects: forward by a beam of two with a backward step, each scored out of fold.
 
-Level d holds, for every front of level d - 1 and every name beside it, the best form: all starts take a few steps, the
-best two go on to their optimum. Sets are then refitted without each fold, in order of their in-sample error, until that
-exceeds the third-best out-of-fold error: the sets behind it cannot be among the best three. A set pays if its error is
-below FIRST (then FURTHER for every name) of the last that paid, with P >= SURE; a level that does not pay is stepped
-over.
+Level d holds the best form of every set of level d - 1 plus one effect: all starts take a few steps, and the best two
+are optimised. Sets are then refitted without each fold in order of their in-sample error, until that exceeds the
+third-best out-of-fold error; later sets cannot be among the best three. A set improves the fit significantly if its
+error is below FIRST (then FURTHER for every effect) times that of the last such set, with P >= SURE. A level without
+such a set is skipped.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -15,7 +15,7 @@ import numpy as np
 from .._model.units import base_units, units_of
 from . import rules
 from .budget import Budget
-from .data import FEWEST_FOLDS, Case
+from .data import FEWEST_FOLDS, Case, excited_hz
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
@@ -29,32 +29,34 @@ from .library import (
     LAG,
     LONE,
     ROWS,
-    SLOW,
+    SHIFT,
     Form,
     Scale,
+    bounds,
     forms,
     group,
     named,
     slots_of_row,
 )
 
-BEAM, DEPTH = 2, 4  # fronts, names of a set
-_FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and beside each further front
-_CERTAIN = 4  # hypotheses that go to their optimum whatever their first steps gain
+BEAM, DEPTH = 2, 4  # fronts, effects of a set
+_FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
+_CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps gain
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
-_AT_A_TIME = 4  # sets fitted between looks at the clock, where there is a limit
+_JUDGED_RUNS = 40  # runs of all records for one refit without a fold
+_AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, fitted and judged out of fold.
+    """A set of effects, fitted and scored out of fold.
 
     Attributes:
         fit: to all records.
-        labels: names as the catalogue has them, in the order of `fit.names`.
+        labels: catalogue names, in the order of `fit.names`.
         residuals: out of fold, per record.
         evidence: of those.
         without: slots of the refits without each fold, shape (folds, slots).
@@ -68,17 +70,17 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the search."""
+        """Return the search names of its effects."""
         return self.fit.names
 
     @property
     def rms(self) -> float:
-        """Out-of-fold error, geometric mean over records, scaled."""
+        """Return the out-of-fold error, geometric mean over records, scaled."""
         return self.evidence.rms
 
 
 def scale_of(case: Case, base: Fit) -> Scale:
-    """What starts are multiples of: ranges of the motion as measured and the base's own time constants."""
+    """Return the units of the starts: ranges of the measured motion and the base's own time constants."""
     x = np.concatenate([s.output[s.counts] for s in case.series])
     moves = [_smooth(s.output) for s in case.series]
     v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
@@ -86,16 +88,17 @@ def scale_of(case: Case, base: Fit) -> Scale:
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
     a0, a1, a2 = (base.value(k) for k in CORE)
-    # the natural period's, else the slowest pole's, of whatever the base has
+    # of the natural period, otherwise of the slowest pole, of the base
     tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
     tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
     drives = case.simulator.drives
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
-    # of the integral of the drive, the unit of a loop of a speed command
+    # of the input's integral, the unit of a loop around a speed command
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
+    band = 2 * np.pi * np.array(excited_hz(case))
     return Scale(
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
@@ -103,18 +106,19 @@ def scale_of(case: Case, base: Fit) -> Scale:
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
         radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
     )  # fmt: skip
 
 
 def _smooth(x: np.ndarray) -> np.ndarray:
     filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
-    # five samples: enough that a difference of a thinned record is no noise
+    # five samples: enough that a difference of a thinned record is not noise
     return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
 
 
 class Search:
-    """The hypotheses of a case that were tried, by their names."""
+    """The hypotheses of a case that were tried, by their effects."""
 
     def __init__(
         self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None, own: float = 0.0,
@@ -129,10 +133,11 @@ class Search:
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
         self.waiting: dict[frozenset, Fit] = {}  # at their optimum, not refitted without folds
-        self._climbed: set[tuple[str, ...]] = set()  # a front's names and the one added: fitted before
-        # of the nominal's linear part what is there at all
+        self._climbed: set[tuple[str, ...]] = set()  # a front's effects and the added one: fitted before
+        # parts of the nominal's linear model that exist at all
         self.core = tuple(k for k in (*CORE, DELAY, LAG, FILTER) if case.nominal[INDEX[k]] > 0)
-        # a delay shorter than a thinned step is the hold's: a longer one is a name, and no number that has moved
+        # A delay shorter than one (thinned) sample belongs to the hold. A longer one is treated as an effect, not as a
+        # changed coefficient.
         short = not refit and case.nominal[INDEX[DELAY]] < case.dt
         self.movable = tuple(k for k in self.core if not (short and k == DELAY))
         given = Fit((), (), case.nominal.copy(), case.starts.copy())
@@ -143,8 +148,7 @@ class Search:
         self.base = base
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
-        # a memory of the drive that is faster than the plant is a filter of it, no charge
-        self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
+        self.fitter.bounds = bounds(self.scale)
         self.library = [f for f in forms(self.scale) if self._is_tried(f)]
         if not refit and CHANGED not in self.exclude:
             moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=(CHANGED,))
@@ -152,18 +156,22 @@ class Search:
             self.library += [Form(PARAMETERS, None, {})]
 
     def _is_tried(self, form: Form) -> bool:
-        """Return whether a form means something beside the base and is not left out."""
+        """Return whether a form can be added to the base and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
-        if spec is None or spec.needs_mass and not mass or form.name in self.exclude:
+        if spec is None or form.name in self.exclude:
+            return False
+        if spec.needs_mass and not mass or spec.squares and not self.case.simulator.square:
             return False
         if spec.reported is None and spec.name in self.exclude:
             return False
-        # in a refit these numbers of the linear model are free in every set
+        if spec is SHIFT and DELAY in self.movable:  # the delay of the nominal model may be shorter
+            return False
+        # in a refit these parameters of the linear model are free in every set
         free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
         return not (self.refit and spec.moves in free)
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
-        """Evidence of out-of-fold residuals."""
+        """Return the evidence of out-of-fold residuals."""
         return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit, self.case.blocks)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
@@ -173,22 +181,22 @@ class Search:
         return [Hypothesis(f, self.labels(f), r, self.weigh(r), s) for f, r, s in zip(fits, rows, slots, strict=True)]
 
     def labels(self, fit: Fit) -> tuple[str, ...]:
-        """Catalogue names of a fit."""
+        """Return the catalogue names of a fit."""
         return tuple(CHANGED if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
-        """The linear model refitted: of the nominal's own structure, or beside a refit of another one.
+        """Return the linear model refitted: with the nominal's own structure, or in a refit with another one.
 
-        Of several structures that with the fewest numbers counts which no other surely beats by a twentieth: effects
-        act on a core of order two at most, and a lag behind it that need not be there hides them. Where few records
-        make a refit worse out of fold than the nominal as it was given, effects start from its own structure and
-        are measured against it: a name that only mends the refit is none.
+        Choose the structure with the fewest parameters that no other structure beats by 5 % with probability 0.9.
+        Effects act on a core of order two at most, and a superfluous lag behind it would hide them. If few records make
+        a refit worse out of fold than the given nominal, effects start from the nominal's structure and are compared
+        with it: an effect that only compensates for a poor refit is not reported.
         """
         fits = [self._structure(self.movable, {})]
         if self.refit:
             fits += self._structures()
         self.fitter.fit(fits, _LINEAR_STEPS)
-        # of fits of one structure the best, whatever it started from
+        # of several fits of one structure the best, whatever its start
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
             best.setdefault(f.free, f)
@@ -211,11 +219,11 @@ class Search:
         return Fit((), free, slots, self.case.starts.copy())
 
     def _structures(self) -> list[Fit]:
-        """Orders one to four: a core with and without a mass, a delay, a lag or a second-order filter behind it."""
+        """Return fits of orders one to four: a core with or without mass, a delay, a lag or a second-order filter."""
         v = {k: self.case.nominal[INDEX[k]] for k in (*CORE, LAG, FILTER, FILTER_ZETA)}
         dt, late = self.case.dt, self.case.nominal[INDEX[DELAY]]
         own, core = self.core, tuple(k for k in self.core if k not in (LAG, FILTER))
-        # the nominal's whole lateness at slow drives as one time constant, of a plant with a spring
+        # the nominal's total lag at low frequencies as one time constant, of a plant with a spring
         tau = max(v["a1"] / v["a0"] + v[LAG] + 2 * v[FILTER_ZETA] * v[FILTER], dt) if v["a0"] > 0 else 0.0
         fits = []
         for faster in (0.5, 2.0):
@@ -235,7 +243,7 @@ class Search:
         return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> None:
-        """Names beside every front, each by its best form, judged out of fold."""
+        """Fit one more effect to every front, each by its best form, and score it out of fold."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
@@ -246,23 +254,26 @@ class Search:
                 groups.setdefault(key, []).append(start := self._started(front.fit, form))
                 below[id(start)] = front.fit
         groups = self._foremost(groups, below, _SETS * len(fronts) if fronts[0].names else _FIRST_SETS)
-        # beside a front that was fitted before a hypothesis ends where it ended then
+        # beside a front fitted before, a hypothesis converges to the same result
         fresh = {key: [f for f in g if f.names not in self._climbed] for key, g in groups.items()}
         keys = [key for key, g in fresh.items() if g]
-        # what promises most first; without a limit of time all of them side by side
+        # the most promising first; without a limit of time all of them together
         size, depth = len(keys) if np.isinf(self.budget.seconds) else _AT_A_TIME, len(fronts[0].names) + 1
         for first in range(0, len(keys), max(size, 1)):
             some = {key: fresh[key] for key in keys[first : first + size]}
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            self._climb(some)
+            # a hypothesis counts only after its out-of-fold score, so the fits reserve time for that
+            with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
+                self._climb(some)
             self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
-        """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
+        """Optimise every hypothesis that lowers the error of the one below it, and queue it for its out-of-fold score.
 
-        First steps see a few records only: the best hypotheses go on even where these steps help no other record.
+        The first steps use few records only, so the best hypotheses continue even if these steps improve no other
+        record.
         """
         for f in (starts := [f for g in groups.values() for f in g]):
             f.fold = PREVIEW
@@ -287,15 +298,26 @@ class Search:
                 self.waiting[frozenset(fit.names)] = fit
 
     def _gains(self, fit: Fit) -> bool:
-        """Return whether a fit leaves GAIN less than the hypothesis below it."""
-        below = self.every[frozenset(fit.names[:-1])].fit.cost
-        return fit.cost < below - 2 * rules.GAIN * self.samples
+        """Return whether a fit has at least GAIN less error than the hypothesis below it."""
+        return self._leaves_less(fit, self.every[frozenset(fit.names[:-1])].fit)
+
+    def _leaves_less(self, fit: Fit, other: Fit) -> bool:
+        """Return whether a fit has GAIN less error than another one; errors below the nominal's own count as that."""
+        return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
+
+    def _left(self, fit: Fit) -> float:
+        """Return the log of a fit's mean square error, at least that of the nominal's own error."""
+        total = 0.0
+        for r, floor in zip(fit.residuals, self.floors, strict=True):
+            seen = r[np.isfinite(r)]
+            total += len(seen) * np.log(max(np.mean(seen**2) + floor, (rules.OWN * self.misfit) ** 2))
+        return total / self.samples
 
     def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
-        """Refit waiting hypotheses of so many names without each fold, until the best three of these are certain.
+        """Refit waiting hypotheses of this many effects without each fold, until the best three are certain.
 
-        A fit leaves no more in sample than out of fold. So the order of their in-sample errors is followed, and what
-        leaves more in sample than the third best leaves out of fold goes on waiting.
+        The in-sample error of a fit is never above its out-of-fold error. Hypotheses are therefore refitted in order of
+        their in-sample error, and one above the third-best out-of-fold error waits.
         """
         fits = [f for f in self.waiting.values() if len(f.names) == depth and not without & set(f.names)]
         errors = {id(f): self.weigh(f.residuals).rms for f in fits}
@@ -311,7 +333,7 @@ class Search:
             fits = fits[count:]
 
     def judged(self, names: Set[str]) -> Hypothesis | None:
-        """Return the hypothesis of these names, refitted without each fold now if it was not; None: not tried."""
+        """Return the hypothesis of these effects, refitted without each fold if necessary; None if not tried."""
         key = frozenset(names)
         if key in self.waiting:
             self._settle([self.waiting[key]])
@@ -323,18 +345,18 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """The form with the fewest numbers of those that leave at most GAIN more than the best."""
-        most = min(f.cost for f in forms) + 2 * rules.GAIN * self.samples
-        return min((f for f in forms if f.cost <= most), key=lambda f: (len(f.free), f.cost))
+        """Return the form with the fewest parameters whose error is at most GAIN above the best."""
+        best = min(forms, key=lambda f: f.cost)
+        return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Memories of one time constant, or of two a decade apart where those leave GAIN less."""
+        """Return memories with one time constant, or with two a decade apart if these reduce the error by GAIN."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
             if f.names[-1] not in DOUBLED:
                 continue
             (strength, tau), second = DOUBLED[f.names[-1]]
-            # a decade apart: nearer, two branches are one of a time constant between them
+            # a decade apart, because two nearer branches act as one with a time constant between them
             for ratio in (0.1, 10.0):
                 slots, free = f.slots.copy(), (*f.free, *second)
                 slots[[INDEX[k] for k in second]] = 0.3 * f.value(strength), ratio * f.value(tau)
@@ -342,15 +364,15 @@ class Search:
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
         for n, f in more:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 
     def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
-        """The best fits beside every linear structure where that leaves GAIN less than the one they started beside.
+        """Return the best fits for every linear structure if that has GAIN less error than the original one.
 
-        First steps rank structures by what a wrong effect can make of them: friction started without the mass that it
-        acts on, and left six times the error.
+        The first steps would rank structures by how well a wrong effect fits them: friction without its mass had six
+        times the error.
         """
         many, best = [], list(fits)
         for n in sorted(range(len(fits)), key=lambda n: fits[n].cost)[:BEAM]:
@@ -367,14 +389,14 @@ class Search:
                 many.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in many], _STEPS)
         for n, f in many:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
-        """Of every set the starts that promise most go on, and of the sets those whose best start does.
+        """Return the most promising starts of the most promising sets.
 
-        What helps beside another name may do nothing alone, so the order of the first level says little here.
+        An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
         many = [(key, f) for key, group in groups.items() for f in group]
         costs = self.fitter.foreseen([f for _, f in many], [below[id(f)] for _, f in many])
@@ -390,7 +412,7 @@ class Search:
             return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
-        # what adds stiffness begins with as much less of the core, so that the start is as stiff as the base
+        # added stiffness is first subtracted from the core, so that the start is as stiff as the base
         stiff = 1 + form.stiffness
         free = tuple(dict.fromkeys((*front.free, *form.free)))
         if stiff > 1.05 and "a0" in free:
@@ -398,10 +420,10 @@ class Search:
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
-        """A linear model of every record by itself, where no fold leaves a whole one out; None: there is no such case.
+        """Return the evidence of separate linear models of each record if every fold has parts of all; otherwise None.
 
-        Folds that are parts of records do not say whether one machine was recorded: numbers fitted to two loads at
-        once describe neither, and predict a third load worse than the nominal does.
+        Leaving out parts of recordings cannot show whether all recordings come from one machine: parameters fitted to
+        two loads at once describe neither, and predict a third load worse than the nominal does.
         """
         recordings = self.case.recordings
         if not 1 < len(recordings) < FEWEST_FOLDS:
@@ -417,7 +439,7 @@ class Search:
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
-        """Of the best set's moved coefficients those stay where the nominal has them that need not have moved."""
+        """Reset coefficients of the best set to the nominal where their change is not needed."""
         best = self.best()
         if PARAMETERS not in best.names:
             return
@@ -440,8 +462,8 @@ class Search:
     # -- the beam ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Fill `every` level by level."""
-        # in a refit beside every linear structure: friction in a gear is told by none that lacks its mass or its delay
+        """Search level by level, and store the hypotheses in `every`."""
+        # in a refit for every linear structure, because gear friction cannot be found without its mass or its delay
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
@@ -456,7 +478,7 @@ class Search:
                 self.budget.begin("no single effect helps")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
-            # down to the nominal's own error there is nothing more to explain
+            # at the nominal's own error there is nothing more to explain
             settled = level[0].rms <= rules.OWN * self.own
             helps = level[0].rms < rules.FIRST * least.rms
             if settled or (not helps and depth > 1) or not self.budget.allows(f"sets of {depth + 1} effects"):
@@ -468,12 +490,12 @@ class Search:
         self.fewer_moved()
 
     def level(self, depth: int, without: Set[str] = frozenset()) -> list[Hypothesis]:
-        """Sets of so many names, best first."""
+        """Return the sets of this many effects, best first."""
         sets = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
         return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
-        """Sets that lack one name of the best are tried too: the first name may have been taken for a later one."""
+        """Try also sets that lack one effect of the best, because the first effect may have replaced a later one."""
         best = self.best()
         if len(best.names) > 2:
             for name in best.names:
@@ -486,7 +508,7 @@ class Search:
         keep = [f for f in self.library if f.name in key]
         slots = self.base.fit.slots.copy()
         free = []
-        moved = PARAMETERS in key or self.refit  # else the set without them would move them unnamed
+        moved = PARAMETERS in key or self.refit  # otherwise the set without them would change them unnamed
         others = [f for f in self.library if f.name in fit.names]
         for k in fit.free:
             linear = not any(k in f.start for f in others)
@@ -501,9 +523,9 @@ class Search:
             self._settle([done])
 
     def best(self) -> Hypothesis:
-        """The last set that pays."""
+        """Return the last set that improves the fit significantly."""
         best, floor = self.base, self.own
-        # over all that was tried, also sets that the backward step added
+        # over all that was tried, including sets of the backward step
         deepest = max(len(h.names) for h in self.every.values())
         for depth in range(1, deepest + 1):
             level = self.level(depth)
@@ -516,12 +538,12 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """The best of a level, or one as good that has moved coefficients for a name, or one number for all of them."""
+        """Return the best set of a level, or an equally good one with fewer or only nominal parameters."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
         if PARAMETERS in best.names:
             others = {*best.names} - {PARAMETERS}
             return self._plainer(level, best, lambda h: others <= {*h.names} and bool({*h.names} & {*LONE} - others))
-        # fewer numbers win a tie: they had less room to fit by chance
+        # fewer parameters win a tie, because they had less room to fit by chance
         few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
         as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
         return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
@@ -534,21 +556,21 @@ class Search:
         return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
-        """Sets from the base to the chosen one, the best step first."""
+        """Return the sets from the base to the chosen one, the best step first."""
         steps: list[Hypothesis] = [self.linear] if self.refit else []
         have: frozenset = frozenset()
         while have != frozenset(chosen.names):
             nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
             known = [h for h in nexts if h is not None]
             step = min(known, key=lambda h: h.rms) if known else chosen
-            # the last step ends at the set chosen, not at a like one with other starts
+            # the last step ends at the chosen set, not at a similar one with other starts
             step = chosen if len(have) + 1 == len(chosen.names) else step
             steps.append(step)
             have = frozenset(step.names)
         return steps
 
     def without(self, names: Set[str], depth: int) -> None:
-        """Search sets of at most so many names that lack some names anew: this finds their twins."""
+        """Search sets of at most `depth` effects without some of them anew, to find alternatives."""
         self.judge(1, names)
         for d in range(2, depth + 1):
             fronts = self.level(d - 1, names)[:BEAM]
@@ -562,7 +584,7 @@ def _written(h: Hypothesis) -> str:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Best first, one of every form before a second one: the first steps of a polynomial look like any curve's."""
+    """Return the fits best first, but the best of every form before a second one of any form."""
     seen: dict[frozenset, int] = {}
     turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
     return [
@@ -571,7 +593,7 @@ def _varied(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Without those that have come to the same place."""
+    """Return the fits without duplicates that converged to the same result."""
     kept: list[Fit] = []
     for f in fits:
         if not any(set(f.free) == set(g.free) and abs(f.cost - g.cost) < 1e-4 * abs(g.cost) for g in kept):

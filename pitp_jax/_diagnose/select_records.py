@@ -1,4 +1,4 @@
-"""Which recordings a diagnosis can use, and what it has to tell about the others: what does not move is left out."""
+"""Select the recordings that a diagnosis can use: those that move, with a note on the others."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from .._record.sets import check_set
 
 
 def usable(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[str, ...]]:
-    """The records to diagnose, and one line for whatever was left out.
+    """Return the records to diagnose, and one line on those left out.
 
     Raises:
         BadInput: no records, of several rates or kinds of output, two of one name, or none that moves.

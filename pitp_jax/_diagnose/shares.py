@@ -1,9 +1,9 @@
-"""The budget: which part of the gap's energy goes to what, out of fold, with intervals; all parts sum to 1.
+"""The budget: fractions of the gap's energy by cause, out of fold, with intervals; all fractions sum to 1.
 
-    E(h) = mean over records of MSE_r / range_r^2,   share of a part = (E before it - E after it) / E of the nominal
+    E(h) = mean over records of MSE_r / range_r^2,   fraction of a part = (E before it - E after it) / E of the nominal
 
-nuisance | parameters | every name | unnamed but explainable | not explainable. Where two names stand together, each
-one's gain is averaged over both orders.
+nuisance | parameters | every effect | explainable without an effect | not explainable. The gains of two effects in one
+set are averaged over both orders.
 """
 
 from collections.abc import Sequence
@@ -19,7 +19,7 @@ _DRAWS = 1000
 
 
 def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
-    """Energy E of every set, first as it is and then in draws of records and blocks, shape (sets, 1 + draws)."""
+    """Return the energy E of every set, first the estimate and then draws of records and blocks, (sets, 1 + draws)."""
     first = sets[0]
     number = len(np.unique(first.records))
     energy = np.zeros((len(sets), 1 + _DRAWS))
@@ -33,15 +33,15 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
-    """The `budget` of docs/contract.md; `raw`: the nominal with zeros and starts as their records' beginnings say."""
+    """Return the `budget` of docs/contract.md; `raw`: the nominal with the records' own offsets and initial states."""
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence
-    # from the nominal as it stands to the best that anything reaches, a step each
+    # from the given nominal to the smallest error reached, one step each
     path = [raw, search.given.evidence, *[h.evidence for h in steps], more]
     e = energies(path, spans)
     whole = np.maximum(e[:2].max(0), 1e-300)
-    # steps telescope: all shares add up to one in every draw
+    # steps telescope, so that all fractions add up to one in every draw
     gains = (e[:-1] - e[1:]) / whole
     gains[0] = (whole - e[1]) / whole
     parts: dict[str, np.ndarray] = {"nuisance": gains[0], "parameters": np.zeros(e.shape[1])}
@@ -75,7 +75,7 @@ def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole
-    # the mean of what a name gains alone and of what it gains as the second
+    # the mean of an effect's gain alone and of its gain as the second
     first = (e[0] - e[1] + e[2] - e[3]) / 2
     return dict(zip(chosen.labels, (first, e[0] - e[3] - first), strict=True))
 

@@ -1,15 +1,15 @@
-"""Free runs of many parameter vectors: the catalogue's own rows around an exact linear core.
+"""Simulate free runs of many parameter vectors: catalogue rows around an exact linear core.
 
     a_0 x + a_1 x' + a_2 x'' = F c(x) - f(x, x', z),   F = map(V) / force scale,   y = sensor(x)
 
 The linear part is exact for a force that runs linearly over a step, (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0), for any
 order up to two, damped or not, with a spring or without (a_0 = 0). Smooth forces act at the middle of the step,
 linearly implicit along their own tangent: f = f(x_m, v_m) / (1 + f' b_x / 2 + f'_v b_x / h). Friction and slack act
-last, on the motion that all other forces leave. An integrator with numerical damping (0.04 at 20 samples a period)
-decided 5 of 18 outcomes.
+last, on the motion after all other forces. An integrator with numerical damping (0.04 at 20 samples a period) changed 5
+of 18 outcomes.
 
-The step is written for one parameter vector beside one record, and is mapped over all of a block: its numbers are the
-last axis. Few programs serve all blocks.
+The step is written for one parameter vector and one record, and is mapped over a block, whose index is the last axis.
+Few programs serve all blocks.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._effects.effect import Effect, Instant
-from .library import COSTLY, DELAY, INDEX, OFF, PLACES, ROWS
+from .library import COSTLY, DELAY, EARLY, INDEX, OFF, PLACES, ROWS
 
 WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # simulations a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
@@ -32,7 +32,7 @@ _CHEAP = tuple(r for r in ROWS if not r.costly)
 
 @dataclass(frozen=True)
 class Film:
-    """The force of a record before it was thinned, for its mean around any instant.
+    """The force of a record before thinning, for its mean around any instant.
 
     Attributes:
         impulse: its integral up to every sample, V^2 s or V s, shape (samples,).
@@ -48,7 +48,7 @@ class Film:
     edges: tuple[float, float]
 
     def force(self, time: np.ndarray) -> np.ndarray:
-        """Mean force around instants (s after the first thinned sample), shape (T,)."""
+        """Return the mean force around instants (s after the first thinned sample), shape (T,)."""
         low, high = (self._until(time + half) for half in (-self.window / 2, self.window / 2))
         return (high - low) / self.window
 
@@ -61,16 +61,16 @@ class Film:
 
 @dataclass(frozen=True)
 class Drive:
-    """What a simulation reads of one record: inputs at every sample (V), step (s), and how it begins.
+    """Simulation input of one record: voltage at every sample (V), step (s), and initial state.
 
     Attributes:
         voltage: shape (T,).
         dt: s.
-        start: scaled (x, v) at the first sample, as the data show it.
+        start: scaled (x, v) at the first sample, from the data.
         age: of the session, s.
-        before: V, what was played before the first sample; None: the same as there.
-        jump: s, when the drive goes from there to its first sample: 0, or half a sample earlier where it holds.
-        film: the drive before it was thinned; None: these samples are all there is.
+        before: V before the first sample; None: the same as at the first sample.
+        jump: s, when the voltage changes from there to its first sample: 0, or half a sample earlier if it is held.
+        film: the input before thinning; None: it was not thinned.
         reached: largest scaled |x| of the session before this record.
     """
 
@@ -86,7 +86,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Simulator:
-    """Free runs of parameter vectors beside records.
+    """Free runs of parameter vectors, each with a record.
 
     Attributes:
         drives: one per record.
@@ -94,7 +94,7 @@ class Simulator:
         force_scale: of F.
         rates: 1/s, of the scales of x' and x, and of x'' and x'.
         substeps: steps a sample.
-        devices: blocks run on these in turn; none: on the default one.
+        devices: blocks run on these in turn; empty: on the default device.
     """
 
     drives: tuple[Drive, ...]
@@ -105,12 +105,12 @@ class Simulator:
     devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
-        """Simulate slots (lanes, numbers), each beside a record from a start (x, v): scaled y (T,), nan if diverged."""
+        """Simulate slots (lanes, numbers), each with a record from a start (x, v); return scaled y (T,), or nan."""
         places = np.asarray(records, int)
         costly = (slots != OFF)[:, COSTLY].any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[places]
-        # alike ones side by side: blocks then share lengths, delays and the cheap program
-        order = np.lexsort((slots[:, INDEX[DELAY]], places, -steps, costly))
+        # similar ones together, so that blocks share lengths, delays and the cheap program
+        order = np.lexsort((_delay(slots), places, -steps, costly))
         blocks, place = [], 0
         while place < len(order):
             mixed = costly[order[place]]
@@ -134,7 +134,7 @@ class Simulator:
 
     def _block(self, slots, records, starts, width: int, costly: bool) -> list[np.ndarray]:
         lanes = len(records)
-        # copies of the last lane fill the block: programs have few widths
+        # copies of the last simulation fill the block, so that programs have few widths
         fill = np.concatenate([np.arange(lanes), np.full(width - lanes, lanes - 1)])
         slots, records, starts = slots[fill], records[fill], starts[fill]
         drives = [self.drives[r] for r in records]
@@ -155,9 +155,9 @@ class Simulator:
         return [y[: sizes[k], k] for k in range(lanes)]
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
-        """Delayed input at every step's ends, shape (steps + 1, lanes); its force runs straight between nodes."""
-        # one delayed input for all lanes that share record and delay
-        pairs, which = np.unique(np.stack([records, slots[:, INDEX[DELAY]]], 1), axis=0, return_inverse=True)
+        """Return the delayed input at every step's ends, shape (steps + 1, lanes); its force is linear in between."""
+        # one delayed input for all simulations with the same record and delay
+        pairs, which = np.unique(np.stack([records, _delay(slots)], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
@@ -172,27 +172,32 @@ class Simulator:
         return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
 
     def _jumped(self, column: np.ndarray, drive: Drive, delay: float) -> np.ndarray:
-        """A delayed input with what was played before its first sample.
+        """Return a delayed input with the voltage played before its first sample.
 
         Every step's end has the mean over half a step on either side (over one, at the first), so that the area under
-        the force does not depend on where within a step the jump falls.
+        the force does not depend on the position of the jump within a step.
         """
         steps = max((delay + drive.jump) / drive.dt * self.substeps, 0.0)
         place = np.arange(len(column)) - steps
-        # part of the step behind the jump
+        # part of the step after the jump
         share = np.clip(place + 0.5, 0.0, 1.0)
         share[0] = np.clip(1 - 2 * steps, 0.0, 1.0)
         before = float(drive.before or 0.0)
         return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
 
+def _delay(slots: np.ndarray) -> np.ndarray:
+    """Return the delay of the input (s), shape (lanes,); negative if the output column is ahead of it."""
+    return slots[:, INDEX[DELAY]] - slots[:, INDEX[EARLY]]
+
+
 def root(force: np.ndarray) -> np.ndarray:
-    """V of V|V|."""
+    """Return V from the value of V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
 
 
 def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """E, b and d of (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) for a_0 x + a_1 x' + a_2 x'' = F, per lane.
+    """Return E, b and d of (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) for every a_0 x + a_1 x' + a_2 x'' = F.
 
     The exponential of [[A, B, 0], [0, 0, 1], [0, 0, 0]] by scaling and squaring; a_2 = 0: order 1, v is not used.
     """
@@ -207,7 +212,7 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     m[:, 1, 1] = np.where(second, -a1 / low * h, 0.0)
     m[lanes, row, 2] = h / low
     m[:, 2, 3] = 1.0
-    # scaled to a norm below an eighth, where ten terms leave rounding
+    # scaled to a norm below an eighth, for which ten terms are exact within rounding
     norm = np.abs(m).sum(2).max(1)
     squarings = int(np.clip(np.ceil(np.log2(np.maximum(norm.max(), 1e-300))) + 3, 0, 60))
     m = m / 2.0**squarings
@@ -221,7 +226,7 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class Plant(NamedTuple):
-    """The linear core, a number each: coefficients, E, b and d of its step, and the length of that (s)."""
+    """The linear core, one number each: coefficients, E, b and d of its step, and the step's length (s)."""
 
     a0: Any
     a1: Any
@@ -257,21 +262,21 @@ class Middle(Instant):
 
     @property
     def order(self) -> int:
-        """Order of the core, which may lack a mass all the same."""
+        """Return the order of the core, which may nevertheless lack a mass."""
         return 2
 
     @property
     def v(self):
-        """Scaled x'."""
+        """Return the scaled x'."""
         return self.state[1]
 
 
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, *(-1,) * 5), out_axes=-1)
 def _begin(rows, slots, h, start, volts, session):
-    """Set up effects, what their memories compute once, and the first state: x, v, x' of the last step, memories.
+    """Return the effects, the constants of their memories, and the initial state: x, v, x' of the last step, memories.
 
-    Memories are settled at what was played before.
+    Memories are settled at the previous voltage.
     """
     effects, parts, y = [r(*slots[PLACES[r]]) for r in rows], [], start[0]
     for e in effects:
@@ -310,14 +315,14 @@ def _step(square, unit, rates, effects: list[Effect], once, plant: Plant, state,
     push = [(w * w if square else w) * unit for w in ends]
     for effect in effects:
         if effect.port == "SQ":
-            # where the step will be half way, as at the end of the last one
+            # the position half way through the step, as at the end of the last one
             push = [effect.apply(f, x + h / 2 * speed) for f in push]
-    # the linear plant's own step, exact for a force that runs straight
+    # the linear plant's own step, exact for a linear force
     x1 = p.e11 * x + p.e12 * v + p.bx * push[0] + p.dx * (push[1] - push[0])
     v1 = p.e21 * x + p.e22 * v + p.bv * push[0] + p.dv * (push[1] - push[0])
 
     def middle(x1, v1) -> Middle:
-        """The middle of the step as it stands; at order 1 x' is what the step makes of the force."""
+        """Return the middle of the step; at order 1 x' follows from the force of the step."""
         reply, free = jnp.where(second, p.bv, p.bx / h) / rates[0], jnp.where(second, v1, (x1 - x) / h) / rates[0]
         inertia, highest = h * rates[1] / reply, (v1 - v) / (h * rates[0] * rates[1])
         place, tokens = ((x + x1) / 2, (x1 - x) / h / rates[0]), (p.a0, p.a1, inertia)
@@ -331,7 +336,7 @@ def _step(square, unit, rates, effects: list[Effect], once, plant: Plant, state,
         acting = [k for k, e in enumerate(effects) if e.forces and not e.resolved]
         return sum(effects[k].act(old[k], here, once[k]).offset for k in acting)
 
-    # what else pulls, at the middle of that step, and how it answers to being moved
+    # the other forces at the middle of that step, and their response to displacement
     f, slope = jax.jvp(forces, ((x + x1) / 2, (x1 - x) / h), (p.bx / 2, p.bx / h))
     f = f / (1 + jnp.maximum(slope, -0.5))
     x1, v1 = x1 - p.bx * f, v1 - p.bv * f
@@ -339,7 +344,7 @@ def _step(square, unit, rates, effects: list[Effect], once, plant: Plant, state,
         if effect.resolved:
             f = effect.act(old[k], middle(x1, v1), once[k]).offset
             x1, v1 = x1 - p.bx * f, v1 - p.bv * f
-    lost = ~(jnp.abs(x1) < FAR)  # nan compares false: it is lost, too
+    lost = ~(jnp.abs(x1) < FAR)  # nan compares false: it counts as diverged too
     x1, v1 = jnp.where(lost, FAR, x1), jnp.where(lost, 0.0, v1)
     y = x, x1
     for k, effect in enumerate(effects):

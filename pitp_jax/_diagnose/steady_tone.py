@@ -1,8 +1,8 @@
-"""A line that the residual has in every record, whatever the drive: a hum, not the actuator.
+"""Find a spectral line in every record's residual that does not depend on the input: hum, not the actuator.
 
-    |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the drives' F have not
+    |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the inputs' F have not
 
-What answers a drive has the drive's own frequencies, so two drives at least must differ from the line.
+The response to an input has the input's frequencies, so at least two inputs must differ from the line.
 """
 
 from collections.abc import Sequence
@@ -15,11 +15,11 @@ _FRACTION = 0.8  # of an error's energy within three bins of one frequency: a li
 def steady_tone(
     errors: Sequence[np.ndarray], voltages: Sequence[np.ndarray], intervals: Sequence[float]
 ) -> tuple[float, float] | None:
-    """(Hz, least share of a record's error), or None.
+    """Return (Hz, least fraction of a record's error), or None.
 
     Args:
-        errors: residuals, zero where nothing is measured.
-        voltages: drives, V.
+        errors: residuals, zero where the output is missing.
+        voltages: inputs, V.
         intervals: between samples, s.
     """
     lines = []
@@ -29,7 +29,7 @@ def steady_tone(
         # not line 0, the mean
         k = int(np.argmax(power[1:])) + 1
         near = slice(max(k - 3, 0), k + 4)
-        # of the force: a squared drive has lines that its voltage has not
+        # of the force, because a squared input has lines that its voltage lacks
         squared = np.abs(np.fft.rfft((u**2 - np.mean(u**2)) * window)) ** 2
         driven = squared[near].sum() / max(squared.sum(), 1e-30)
         lines.append((k / (len(e) * dt), power[near].sum() / max(power.sum(), 1e-30), driven, 1 / (len(e) * dt)))

@@ -1,8 +1,9 @@
-"""A term found in the data where no name fits: the missing force as an equation, with units and intervals.
+"""A term found in the data when no effect fits: the missing force as an equation, with units and intervals.
 
     sum_i a_i x^(i) = F - f,   f = c1 x x' + c2 x^2 x' + c3 x' F        (`_effects.found_term`)
 
-It is fitted on whole free runs and judged out of fold as an effect is; it acts as one, describes, and names no cause.
+It is fitted on whole free runs and scored out of fold like an effect. It acts like an effect in the model, but names no
+cause.
 """
 
 from dataclasses import dataclass
@@ -17,14 +18,14 @@ from .search import Hypothesis, Search
 
 @dataclass(frozen=True)
 class Term:
-    """The force that is missing, as an equation.
+    """The missing force as an equation.
 
     Attributes:
         equation: sum_i a_i x^(i) = F - (this), with the parameters' names.
         parameters: name to value, unit, stderr and 95 % interval.
         closed_fraction, ci95: as those of a gap.
-        after: out-of-fold error with it, %.
-        effect: what the augmented model carries.
+        after: out-of-fold error with the term, %.
+        effect: the effect in the augmented model.
     """
 
     equation: str
@@ -35,13 +36,13 @@ class Term:
     effect: object
 
     def as_json(self) -> dict:
-        """As docs/contract.md has it."""
+        """Return the dict of docs/contract.md."""
         rows = {"equation": self.equation, "parameters": self.parameters, "closed_fraction": self.closed_fraction}
         return rows | {"ci95": list(self.ci95) if self.ci95 else None}
 
 
 def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: dict, gap: Gap) -> Term | None:
-    """The term of the model that is handed back; None where it has none."""
+    """Return the term of the returned model; None if it has none."""
     pair = next(((e, names) for e, names in made[1] if e.spec == TERM), None)
     if pair is None:
         return None
@@ -57,7 +58,7 @@ def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: d
 
 
 def equation(coefficients: tuple[str, ...], beside: list, units: Units) -> str:
-    """Write `missing force = c1 x x' + c3 x' V^2` (u where no voltage drives), with what stands beside it."""
+    """Return `missing force = c1 x x' + c3 x' V^2` (u if the input is not a voltage), with other effects named."""
     drive = ("V" if units.input_word == "voltage" else "u") + ("^2" if units.squared else "")
     products = dict(zip((p.name for p in TERM.parameters), PRODUCTS, strict=True))
     terms = " + ".join(f"{c} {products[c].replace('F', drive)}" for c in coefficients)

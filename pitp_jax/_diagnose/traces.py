@@ -1,4 +1,4 @@
-"""Every record beside free runs of the nominal and of the model that is handed back."""
+"""Every record with free runs of the nominal and of the returned model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from .._simulate.prediction import predict
 
 @dataclass(frozen=True)
 class Trace:
-    """One record in rig units: time (s), voltage (V), measured, nominal and augmented output; held out or fitted."""
+    """One record in measured units: time (s), voltage (V), measured, nominal and augmented output; held out or not."""
 
     name: str
     heldout: bool
@@ -24,7 +24,7 @@ class Trace:
 
 
 def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
-    """Every record beside the nominal and the model that is handed back."""
+    """Return every record with free runs of the nominal and of the returned model."""
     first = predict(nominal, records)
     second = first if augmented is nominal else predict(augmented, records)
     return tuple(
@@ -42,6 +42,6 @@ def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tu
 
 
 def levelled(p, r: Record) -> np.ndarray:
-    """A run with its zero fitted over the record."""
+    """Return a run with its offset fitted over the record."""
     seen = p.scored & np.isfinite(r.displacement) & np.isfinite(p.displacement)
     return p.displacement + (np.mean((r.displacement - p.displacement)[seen]) if seen.any() else 0.0)

@@ -1,14 +1,15 @@
-"""The verdict: which effects of the last significant hypothesis are reported, with what they are tied, how certain.
+"""The verdict: which effects of the last significant hypothesis are reported, with which ties, and how certain.
 
-no_gap     the nominal leaves at most OWN times its own error; or nothing, reference included, gains GAIN of its error
+no_gap     the nominal's error is at most OWN times that on its own records; or no set, nor the reference, reduces
+           its error by the fraction GAIN
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
-           are tied) and a flexible model, which on top of the hypothesis closes nothing more
-partly     the same, but a flexible model closes more on top
-unknown    otherwise: a flexible model is as good, a force without a name or an undecided effect is part of it, a
-           deeper hypothesis leaves less than HALF and does not need all of its effects, or there are few excitations
-           and a rival within TWICE
+           are tied) and a flexible model, added to the hypothesis, closes nothing more
+partly     the same, but an added flexible model closes more
+unknown    otherwise: a flexible model is as good, an unnamed force or an undecided effect is part of it, a
+           larger hypothesis has less than HALF the error and does not need all of its effects, or few excitations
+           and a rival within TWICE the error
 
-A confident wrong name costs a laboratory a week, `unknown` an hour.
+A wrong effect reported with confidence costs a laboratory a week; `unknown` costs an hour.
 """
 
 from dataclasses import dataclass, field
@@ -32,20 +33,20 @@ _LARGER = "A larger set of effects leaves less than half of the error, and some 
 
 @dataclass(frozen=True)
 class Decision:
-    """What the evidence says.
+    """The verdict with its evidence.
 
     Attributes:
         verdict: as above.
-        chosen: the last set that pays; the base where none does.
-        said: catalogue names, most important first; empty unless explained or partly.
-        tied: per name said, what it cannot be told from.
-        probabilities: per name of the set that closes LISTED of it, P that it is needed.
-        fractions: per name of the set, of the energy the set closes.
-        bar: the reference on the base; above: on the chosen set.
-        more: P that the reference closes more on top of the set.
-        reason: why nothing is said, in words.
-        rivals: names that no verdict could tell apart.
-        alone: what a linear model of every record by itself leaves, of few records.
+        chosen: the last set that improves the fit significantly; otherwise the base.
+        said: reported effects, most important first; empty unless explained or partly.
+        tied: per reported effect, the effects that the records do not separate from it.
+        probabilities: per effect with at least the fraction LISTED of the closed energy, P that it is needed.
+        fractions: per effect of the set, fraction of the closed energy.
+        bar: the reference added to the base; above: added to the chosen set.
+        more: P that the reference added to the set closes more.
+        reason: why no effect is reported, in words.
+        rivals: effects that no verdict could separate.
+        alone: error of separate linear models of few records.
     """
 
     verdict: str
@@ -66,11 +67,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
-    # beside a refit also every linear structure: a reference on a poor one would be a low bar
+    # in a refit also for every linear structure, because a reference on a poor one would be a low bar
     bars = [reference(case, h, floors) for h in ([base, *search.linears] if search.refit else [base, search.linear])]
     bar = min(bars, key=lambda e: e.score)
     above = reference(case, chosen, floors) if chosen.names else bar
-    # what a flexible model adds counts where it is worth GAIN of the gap's energy, not of what little is left
+    # a flexible model's gain counts if it is GAIN of the gap's energy, not of the small remaining error
     worth = 1 - rules.GAIN * (base.rms / chosen.rms) ** 2
     more = probability(above, chosen.evidence, np.sqrt(worth)) if worth > 0 else 0.0
     alone = search.each_alone()
@@ -83,7 +84,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
-        # nothing at all helps, the reference included
+        # nothing improves the fit, including the reference
         gains = [h.rms for h in search.every.values()] + [bar.rms]
         if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
             return answer("no_gap", reason="The remaining error is the sensor's noise.")
@@ -93,15 +94,15 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     for name, label in zip(chosen.names, chosen.labels, strict=True):
         if (
             fractions[label] < rules.LISTED
-        ):  # never said: a third of a joint's diagnosis went into searches without these
+        ):  # never reported, so not searched: a third of a joint's diagnosis went into these searches
             continue
-        # searched anew without the name: what stands in its place need not have been tried yet
+        # searched anew without the effect, because its alternative may not have been tried yet
         rivals[name] = rival_without(search, chosen, {name})
         p[label] = needed(chosen, rivals[name])
-    if settled and chosen.names == (PARAMETERS,):  # they leave the nominal's own error: there is nothing left to name
+    if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
-    moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model holds these
+    moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model includes these
     if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
         return answer("unknown", reason=_FLEXIBLE, **seen)
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
@@ -113,7 +114,7 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
         return answer("unknown", reason=_LARGER, **seen)
     said, tied = [], {}
-    # what closes most is said first
+    # the effect that closes most comes first
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
@@ -125,8 +126,8 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             why = "hold too few kinds of excitation to" if few else "do not"
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
-        # no record can tell these apart, so they are told however sure the set is
-        twins = TWINS.get(label, ())
+        # a narrow band cannot separate these, so they are reported as tied however certain the set is
+        twins = () if _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
         if search.refit and label not in LONE:
             twins = ()
         said.append(label)
@@ -139,12 +140,12 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
 
 
 def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
-    """P that the rival leaves more, by GAIN at least: what is less hangs on the simulator's own error."""
+    """Return P that the rival's error is larger by at least GAIN; less depends on the simulator's own error."""
     return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
 
 
 def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bool:
-    """Whether every name of the set is also sure in a larger one that leaves far less: a name is judged at the end."""
+    """Return whether every effect of the set is also certain in a larger set with far less error."""
     for name in chosen.names:
         if name not in deepest.names:
             return False
@@ -155,12 +156,12 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
-    """Whether a rival only frees all of the nominal's numbers where the set has moved one of them."""
+    """Return whether a rival frees all of the nominal's parameters and the set only one of them."""
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
 def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
-    """The best set no larger than the chosen one that lacks some names, searched anew."""
+    """Return the best set no larger than the chosen one without some effects, searched anew."""
     search.without(without, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
     lacking = [
@@ -173,9 +174,9 @@ def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesi
 
 
 def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
-    """Of the energy that the set closes, what came with each name in the order taken, by search name.
+    """Return, by search name, each effect's fraction of the closed energy in the order added.
 
-    What a set loses without a name says less: where two effects can stand for each other, neither is missed much.
+    The loss without an effect is less informative: if two effects can replace each other, the loss of either is small.
     """
     whole, before, fractions = search.base.rms**2 - chosen.rms**2, search.base, {}
     for h in search.steps(chosen)[1 if search.refit else 0 :]:
@@ -186,14 +187,23 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
     return fractions
 
 
+def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
+    """Return whether the set fits significantly better than with any equivalent effect instead of this one."""
+    for twin in TWINS.get(label, ()):
+        other = search.judged({*chosen.names} - {name} | {twin})
+        if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
+            return False
+    return True
+
+
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
-    """Names that may stand in the place of one: with them left out, too, the set must be sure; None: too many."""
+    """Return the labels of effects that can replace one effect; None if there are too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = rival_without(search, chosen, group)
         if needed(chosen, rival) >= rules.SURE:
             return tuple(labels)
-        # a tie is one name in the place of one; two would be another explanation
+        # a tie replaces one effect by one; two would be another hypothesis
         new = set(rival.names) - set(chosen.names)
         if len(new) != 1 or len(group) == rules.TIED:
             return None

@@ -1,12 +1,12 @@
-"""Where the gap lies: residual energy of the nominal, noise subtracted, over every axis a rig has.
+"""Where the gap lies: residual energy of the nominal over all axes, with noise subtracted.
 
-    output     share of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the drive, and time
+    output     fraction of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the input, and time
     force      r = F - a_0 x - a_1 x' - a_2 x''  (what the equation lacks), by displacement, velocity, voltage,
-               and by cells of the drive's local frequency x the local amplitude of the motion
+               and by cells of the input's local frequency x the local amplitude of the motion
 
-All of it on the thinned records.
+All of it is computed on the thinned records.
 
-A cell is flagged where the missing force stands out of what noise leaves there, and is no mere spill of the filter.
+A cell is flagged if its missing force exceeds the noise there and is not leakage of the filter.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of t
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10
 _MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
-_FLAG = 0.15  # a flagged cell's missing force, rms, beside that of the loudest cell
+_FLAG = 0.15  # a flagged cell's missing force, rms, relative to that of the largest cell
 
 
 @dataclass(frozen=True)
@@ -38,7 +38,7 @@ class Motion:
 
     Attributes:
         record: thinned, in V and scaled displacement.
-        weight: 1e4 / (samples range^2) where the output counts, else 0.
+        weight: 1e4 / (samples range^2) where the output counts, otherwise 0.
         states: scaled x, x', x'' (per s), shape (T, 3).
         force: scaled r, shape (T,).
         noise, span: of the output, scaled.
@@ -53,7 +53,7 @@ class Motion:
 
 
 class Seen(NamedTuple):
-    """What the tables are made of."""
+    """The input of the tables: motions, and the units of their axes."""
 
     motions: tuple[Motion, ...]
     omega: float
@@ -63,12 +63,12 @@ class Seen(NamedTuple):
 
     @property
     def dt(self) -> float:
-        """Of the thinned records, s."""
+        """Return the step of the thinned records, s."""
         return self.motions[0].record.dt
 
 
 def motions(case: Case, scale: Scale) -> Seen:
-    """Derivatives and missing forces along the measured motion; `scale`: of the search."""
+    """Return derivatives and missing forces along the measured motion; `scale`: of the search."""
     along, dt = [], case.dt
     a = [case.nominal[INDEX[k]] for k in CORE]
     omega = 1 / scale.tau
@@ -88,7 +88,7 @@ def motions(case: Case, scale: Scale) -> Seen:
 
 
 def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
-    """The `where` of docs/contract.md: shares that sum to 1 per axis, and one plain sentence."""
+    """Return the `where` of docs/contract.md: fractions that sum to 1 per axis, and one plain sentence."""
     errors = [np.nan_to_num(e) for e in errors]
     out = {
         "records": _records(seen, errors),
@@ -112,9 +112,9 @@ def nowhere() -> dict:
 
 
 def _quiet(seen: Seen) -> float:
-    """Mean square of the missing force that noise alone makes: the lowest of its local mean squares."""
+    """Return the mean square of the missing force from noise alone: the lowest of its local mean squares."""
     size = max(int(np.pi / seen.omega / seen.dt), 8)
-    # mean squares over half a natural period: the quietest of them hold hardly any gap
+    # mean squares over half a natural period, of which the smallest contain hardly any gap
     local = [np.convolve(m.force**2, np.ones(size) / size, "valid")[::size] for m in seen.motions]
     return float(np.quantile(np.concatenate(local), 0.05))
 
@@ -149,24 +149,24 @@ def _frequency(seen: Seen, errors) -> list[dict]:
 
 
 def _binned(key: str, edges: np.ndarray, energy) -> list[dict]:
-    """Bins between edges, each with its share of the energy."""
+    """Return bins between edges, each with its fraction of the energy."""
     rows = zip(edges[:-1], edges[1:], _shares(energy), strict=True)
     return [{key: [float(a), float(b)], "share": float(v)} for a, b, v in rows]
 
 
 def _harmonics(seen: Seen, errors) -> dict:
-    """Shares at multiples of the drive's line (sines only), the rest under "other"; empty without a sine."""
+    """Return fractions at multiples of the input's frequency (sines only) and "other"; empty without a sine."""
     totals: dict[str, float] = {}
     for s, e in zip(seen.motions, errors, strict=True):
-        # of other drives no line says which multiple an error belongs to
+        # for other inputs no line shows which multiple an error belongs to
         if kind(s.record) != "sine":
             continue
         line = int(np.argmax(spectrum(s.record)[1:]) + 1)
         power = np.abs(np.fft.rfft(e * (s.weight > 0) * np.hanning(len(e)))) ** 2 / s.span**2 / len(e)
-        # mean square of a Hann window: what it leaves of white noise
+        # mean square of a Hann window: its gain for white noise
         power = power - 0.375 * s.noise**2 / s.span**2
         order = np.arange(len(power)) / line
-        # two lines on either side: the window widens a line to four
+        # two lines on either side, because the window widens a line to four
         near = np.abs(order - np.round(order)) * line <= 2
         for name, mask in [("0f", order * line <= 2), *((f"{k}f", near & (np.round(order) == k)) for k in range(1, 7))]:
             totals[name] = totals.get(name, 0.0) + float(np.maximum(power[mask], 0).sum())
@@ -176,7 +176,7 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 
 def _tone(seen: Seen, errors) -> dict | None:
-    """`steady_tone` of the residuals: its frequency, in how many records, and its least share of one's gap."""
+    """Return frequency, number of records and energy fraction of the residuals' `steady_tone`."""
     tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],
@@ -186,7 +186,7 @@ def _tone(seen: Seen, errors) -> dict | None:
 
 
 def _time(seen: Seen, errors) -> list[dict]:
-    """By tenths of a record, all records together."""
+    """Return the fractions by tenths of a record, all records together."""
     energy = np.zeros(_BINS)
     for s, e in zip(seen.motions, errors, strict=True):
         parts = np.array_split(s.weight * (e**2 - s.noise**2), _BINS)
@@ -197,7 +197,7 @@ def _time(seen: Seen, errors) -> list[dict]:
 def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
     scale = seen.length if index is not None else 1.0
     values = [m.record.voltage if index is None else m.states[:, index] for m in seen.motions]
-    # not the extremes: a single overshoot would leave the outer bins empty
+    # not the extremes, because a single overshoot would leave the outer bins empty
     low = min(float(np.quantile(v, 0.001)) for v in values)
     high = max(float(np.quantile(v, 0.999)) for v in values)
     edges = np.linspace(low, high, _BINS + 1)
@@ -209,7 +209,7 @@ def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
 
 
 def _cells(seen: Seen, quiet: float) -> list[dict]:
-    """Cells of local drive frequency x local amplitude; every window of half a natural period or more is in one."""
+    """Return cells of local input frequency x local amplitude, over windows of at least half a natural period."""
     bands, reach = _edges_hz(seen), seen.reach
     energy, weight = np.zeros((2, len(bands) - 1, len(AMPLITUDE_EDGES) - 1))
     for m in seen.motions:
@@ -220,7 +220,7 @@ def _cells(seen: Seen, quiet: float) -> list[dict]:
             energy[i, j] += np.sum((m.force[first:last] ** 2 - quiet)[there])
             weight[i, j] += there.sum()
     density = np.maximum(energy, 0) / np.maximum(weight, 1)
-    # density, not energy: a cell that was visited often is not loud for that
+    # density instead of energy, so that a frequently visited cell does not stand out
     loud = density.max()
     flagged = (density > _FLAG**2 * loud) & (density > 3 * quiet) & (weight > 0)
     shares = _shares(energy.ravel()).reshape(energy.shape)
@@ -239,14 +239,14 @@ def _cells(seen: Seen, quiet: float) -> list[dict]:
 
 
 def windows(s: Motion, seen: Seen):
-    """(first, last, local drive frequency in Hz, largest |X|) of windows between the drive's mean crossings."""
+    """Return windows between the input's mean crossings: (first, last, local frequency in Hz, largest |X|)."""
     u = s.record.voltage - (s.record.voltage.max() + s.record.voltage.min()) / 2
     crossings = np.flatnonzero(np.diff(np.signbit(u)))
     shortest = max(int(np.pi / seen.omega / seen.dt), 4)
     longest = max(int(10 * 2 * np.pi / seen.omega / seen.dt), 16)
     edges = [0]
     for c in [*crossings, len(u) - 1]:
-        # a slow drive crosses seldom: its windows end after ten natural periods
+        # a slow input crosses seldom, so its windows end after ten natural periods
         while c - edges[-1] > longest:
             edges.append(edges[-1] + longest)
         if c - edges[-1] >= shortest:
@@ -258,11 +258,11 @@ def windows(s: Motion, seen: Seen):
 
 
 def _sentence(seen: Seen, out: dict) -> str:
-    """Cells that hold most of the gap, the loudest record and band, in words."""
+    """Return a sentence on the cells with most of the gap, and the record and band with the largest fraction."""
     unit = seen.unit
     factor = from_base(1.0, unit)
     ordered = sorted(out["cells"], key=lambda c: -c["share"])
-    # as many of the loudest cells as hold most of the gap
+    # as many of the largest cells as hold most of the gap
     held = np.cumsum([c["share"] for c in ordered])
     loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
     record = max(out["records"], key=out["records"].get)

@@ -1,7 +1,7 @@
-"""The catalogue: every effect a diagnosis may name, as rows of one table, in the order their forces act.
+"""The catalogue: every effect a diagnosis may report, as rows of one table, in the order in which their forces act.
 
-A new effect is one row in the file of its port; one whose memory is new is one kernel besides. Velocity and friction
-see all the forces that come before them.
+A new effect is one row in the file of its port; a new kind of memory needs one kernel as well. Velocity and friction
+act on the sum of all forces before them.
 """
 
 from .._errors import BadInput
@@ -21,10 +21,10 @@ CATALOGUE: tuple[EffectSpec, ...] = (
 
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:
-    """Look up the row of that name and form (the name's first form without one).
+    """Return the row of that name and form (the name's first form without one).
 
     Raises:
-        BadInput: there is none; the message lists those that there are.
+        BadInput: it does not exist; the message lists all.
     """
     forms = [r for r in CATALOGUE if r.name == name]
     if not forms:
@@ -37,11 +37,11 @@ def lookup(name: str, form: str | None = None) -> EffectSpec:
 
 
 def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
-    """Make an effect by name and form from its numbers, in the model's scaled coordinates.
+    """Return an effect with its parameters in the model's scaled coordinates.
 
     Args:
-        name, form: as in the catalogue; without a form the name's first.
-        numbers: every number of the form by its name.
+        name, form: as in the catalogue; default: the effect's first form.
+        numbers: every parameter of the form by its name.
 
     Raises:
         BadInput: the name, the form or a number is not in the catalogue, or a number is missing.

@@ -1,6 +1,6 @@
-"""Change what the film makes of its voltage at the square (port SQ).
+"""Effects on the film's force at the square (port SQ).
 
-stretch_coupling        F (1 + b x),  F exp(b x): never a push
+stretch_coupling        F (1 + b x),  F exp(b x): never a pushing force
 dielectric_saturation   F / (1 + |F| / F_s)
 """
 
@@ -15,7 +15,7 @@ _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
 def _stretched(form: str, title: str, equation: str, factor: Callable, costly: bool = False) -> EffectSpec:
-    """Build a row: F times a factor of x that stays positive, undone by division."""
+    """Build a row: F times a factor of x that stays positive, inverted by division."""
     return EffectSpec(
         "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
@@ -24,19 +24,19 @@ def _stretched(form: str, title: str, equation: str, factor: Callable, costly: b
 
 
 def _no_field(force, possible, inside):
-    """Return the force where it is possible, else infinite: no field makes it."""
+    """Return the film's force for a wanted force, infinite if no electric field can produce it."""
     return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 
 def _unsaturated(p, force, x):
-    remains = 1 - p.inverse * jnp.abs(force)  # of the limit F_s, as a part of it
+    remains = 1 - p.inverse * jnp.abs(force)  # of the limit F_s, as a fraction of it
     return _no_field(force, remains > 0, force / jnp.where(remains > 0, remains, 1.0))
 
 
 COUPLING = (
     _stretched(
         "linear", "The film's force depends on how far it is stretched.", "F (1 + b x)",
-        # far up, since an actuator that snaps in one record has a reach its others never see
+        # large, because an actuator that snaps in one record has a range that other records never reach
         lambda r: jnp.maximum(1 + r, 0.05),
     ),
     _stretched(

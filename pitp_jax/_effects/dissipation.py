@@ -1,12 +1,12 @@
-"""Add forces that take energy (port C).
+"""Effects that dissipate energy (port C).
 
 drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
-                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with a give too small to see),
+                  or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with an invisible play),
                   or mu_avg |f| z / g + mu_dif f (z / g)^2,  f the transmitted force k x + a_2 x''  (gears under load)
 
-Friction is resolved: f is what brings x' to rest within the step, no more than F_c (orders 1 and 2); above, and along a
-motion of order 1 that is given, it is regularised at a hundredth of the usual speed.
+Friction is resolved: f brings x' to rest within the step and is at most F_c (orders 1 and 2). Above that, and along a
+given motion of order 1, it is regularised at a hundredth of the usual speed.
 """
 
 import jax.numpy as jnp
@@ -17,23 +17,23 @@ from .spec import EffectSpec, Parameter
 
 
 def dry(now: Instant, level):
-    """Compute what stops the motion within the step, up to a level.
+    """Return the force that stops the motion within the step, up to a level.
 
-    A sign of the velocity would overshoot and chatter at every step where the motion stands still.
+    The sign of the velocity would overshoot and chatter at every step at standstill.
     """
     if now.order <= 2 and now.last is None:
         return jnp.clip(now.free / now.reply, -level, level)
-    # x' is not the force's to stop within a step
+    # the force cannot stop x' within a step
     return level * jnp.tanh(100.0 * now.v)
 
 
 def _smooth(p, now: Instant):
-    """Compute F_c tanh(x' / v_s) at the step's end, so that v_s may be small; as it stands along a given motion."""
+    """Return F_c tanh(x' / v_s) at the step's end, for any v_s; at the current x' along a given motion."""
     if now.order > 2 or now.last is not None:
         return p.level * jnp.tanh(now.v / p.speed)
     reply, free = now.reply, now.free
     most, knee = reply * p.level, p.speed + reply * p.level
-    # the answer for tanh cut to a ramp, then two Newton steps of  v + most tanh(v / v_s) = free
+    # the solution for tanh cut to a ramp, then two Newton steps of  v + most tanh(v / v_s) = free
     v = jnp.where(jnp.abs(free) < knee, free * p.speed / knee, free - jnp.sign(free) * most)
     for _ in range(2):
         t = jnp.tanh(v / p.speed)
@@ -42,7 +42,7 @@ def _smooth(p, now: Instant):
 
 
 def _stribeck(p, now: Instant):
-    # at the speed the step begins with: half a step on, the friction itself would decide on its level
+    # at the speed at the start of the step, because half a step later the friction itself would set its level
     speed = (now.state[1] if now.order > 1 else now.v) / p.speed
     return dry(now, p.level * (1 + p.rise * jnp.exp(-(speed**2))))
 

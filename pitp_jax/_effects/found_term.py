@@ -1,8 +1,8 @@
-"""A force without a name: products of displacement, velocity and the film's force that no effect of the catalogue has.
+"""An unnamed force: products of displacement, velocity and the film's force that no catalogue effect has.
 
     f = c1 x x' + c2 x^2 x' + c3 x' F        F the film's force (V^2 or V)
 
-Which products a diagnosis tries, and why no others: docs/decisions/term.md.
+The products that a diagnosis tries, and the reason for them: docs/decisions/term.md.
 """
 
 from .effect import Instant

@@ -1,8 +1,8 @@
-"""Add masses the nominal does not have, and loads that let go (port M); a_2 is the nominal's mass, k its stiffness.
+"""Effects of additional masses and of loads that lose contact (port M); a_2 is the nominal's mass, k its stiffness.
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')
-force_limit   |a_2 x''| <= f: a drive that saturates behind the controller, whose spring and damper are the nominal's
+force_limit   |a_2 x''| <= f: an actuator that saturates behind the controller with the nominal's spring and damper
 slack         x'' >= -g: a load that is only pulled falls freely once the film lets go
 """
 
@@ -14,15 +14,15 @@ from .spec import EffectSpec, Parameter
 
 
 def _hung(p, now: Instant):
-    """Compute the pull of a mass whose damper, too, ends at the body: z = q + r q', q the oscillator of the kernel."""
+    """Return the force of a mass whose damper also acts on the body: z = q + r q', q the kernel's oscillator."""
     r, (q, speed) = 2 * p.zeta / p.omega, now.z
     # q'' by the equation of the oscillator; then z' = q' + r q''
     acceleration = p.omega**2 * (now.x - q - r * speed)
     return now.k * p.kappa * (now.x - q - r * speed + r * (now.rates[0] * now.v - speed - r * acceleration))
 
 
-# an overdamped second mode is a relaxation or a delay by another name
-MODE = Parameter("omega", "rad/s"), Parameter("zeta", most=0.5)
+# an overdamped second mode is equivalent to a relaxation or a delay
+MODE = Parameter("omega", "rad/s", resonance=True), Parameter("zeta", most=0.5)
 
 MASSES = (
     EffectSpec(
@@ -41,16 +41,16 @@ MASSES = (
 
 
 def _free_fall(p, now: Instant):
-    """Compute as much push as is missing for x'' >= -g."""
+    """Return the push that is missing for x'' >= -g."""
     if now.order != 2:
         return 0.0 * now.x
-    # what keeps x'' at the limit, once it would be beyond: x'' is linear in the force with the slope 1 / sigma_2
+    # the force that keeps x'' at the limit: x'' is linear in the force with the slope 1 / sigma_2
     missing = jnp.maximum(-1 / jnp.maximum(p.inverse, 1e-30) - now.highest, 0.0)
     return -now.tokens[2] * missing
 
 
 def _saturated(p, now: Instant):
-    """Compute the force that the controller asks for beyond the limit."""
+    """Return the force that the controller demands beyond the limit."""
     if now.order != 2:
         return 0.0 * now.x
     asked, limit = now.tokens[2] * now.highest, 1 / jnp.maximum(p.inverse, 1e-30)

@@ -1,6 +1,7 @@
-"""Advance the few memories that all forms of the catalogue need, by an exact rule where one is known.
+"""The memories of all catalogue forms, with exact time steps where known.
 
     lag          tau z' = w - z                                                            (exact for w linear)
+    each way     the same with a time constant up and one down
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
     coasting     the same, but z'' = -rate z' until it is caught, then z' = w'              (exact but for the instant)
@@ -10,7 +11,7 @@
     slew         |z'| <= s towards u                                                       (exact for one step's goal)
     delay        a shift of the whole record: no state of a step
 
-w is what enters: u at the drive, x for forces and sensors. A kernel reads its numbers by name from `p`.
+w is the memory's input: u at the port IN, x for forces and sensors. A kernel reads its parameters by name from `p`.
 """
 
 from collections.abc import Callable, Sequence
@@ -33,12 +34,12 @@ class Kernel:
     """A memory of fixed size.
 
     Attributes:
-        size: how many states.
-        start: fn(p, w, age), the states of what has been held at w; `age` of the session in s.
+        size: number of states.
+        start: fn(p, w, age), the states settled at w; `age` of the session in s.
         advance: fn(p, z, before, after, h), the states after w ran linearly from `before` to `after` in h seconds.
-        ahead: fn(p, z, now), the states half a step on, which a frozen step's force reads.
-        resumed: fn(p, z, reached), the states where the session has gone to |x| = `reached` before; most forget.
-        once: fn(p, h), what `advance` takes for h and `ahead` for now.h: h, or numbers that a loop computes once.
+        ahead: fn(p, z, now), the states half a step later, for the force of a frozen step.
+        resumed: fn(p, z, reached), the states after the session has reached |x| = `reached`; most do not change.
+        once: fn(p, h), passed to `advance` for h and to `ahead` for now.h: h, or numbers that a loop computes once.
     """
 
     size: int
@@ -54,28 +55,42 @@ DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift 
 
 
 def lag(of: Callable = lambda p, w: w) -> Kernel:
-    """Build a lag with the time constant tau; `of` is what it follows of w."""
+    """Build a lag with the time constant tau, which follows `of` w."""
 
-    def once(p, h):  # the smallest number stands for no lag, and keeps h / tau finite
+    def once(p, h):  # the smallest number represents no lag, and keeps h / tau finite
         tau = jnp.maximum(p.tau, 1e-9)
         return (*lag_weights(tau, h), -jnp.expm1(-h / 2 / tau))
 
     def advance(p, z, before, after, weights):
         return lag_followed(z, of(p, before), of(p, after), *weights[:2])
 
-    def ahead(p, z, now):  # x taken as held over half a step: its end is not known yet
+    def ahead(p, z, now):  # x held over half a step, because its end is not known yet
         return z + (now.x - z) * now.h[2]
 
     return Kernel(1, lambda p, w, age: jnp.full((1,), of(p, w)), advance, ahead, once=once)
 
 
+def lag_each_way() -> Kernel:
+    """Build a lag with one time constant, `up`, where |w| exceeds |z|, and another, `down`, where it does not."""
+
+    def once(p, h):
+        return [lag_weights(jnp.maximum(tau, 1e-9), h) for tau in (p.up, p.down)]
+
+    def advance(p, z, before, after, weights):
+        rises = jnp.abs(before + after) / 2 > jnp.abs(z)
+        up, down = (lag_followed(z, before, after, *w[:2]) for w in weights)
+        return jnp.where(rises, up, down)
+
+    return Kernel(1, lambda p, w, age: jnp.full((1,), w), advance, once=once)
+
+
 def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:
-    """Undo a lag for smooth values: v + tau v'."""
+    """Return the input of a lag for smooth output values: v + tau v'."""
     return values + tau * slope(values, dt)
 
 
 def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
-    """Build (z, z' in 1/s) of a mass carried along by a spring, at rest beside w at first."""
+    """Build the memory (z, z' in 1/s) of a mass moved through a spring, at rest at w initially."""
 
     def advance(p, z, before, after, h):
         w = frequency(p)
@@ -90,7 +105,7 @@ def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
 
 
 def play(*ratios: float) -> Kernel:
-    """Build plays of the half widths ratio * width, in their middle at first."""
+    """Build plays of the half widths ratio * width, in their middle initially."""
 
     def inside(p, z, w):
         r = p.width * jnp.asarray(ratios, jnp.result_type(p.width))
@@ -105,7 +120,7 @@ def play(*ratios: float) -> Kernel:
 
 
 def coasting() -> Kernel:
-    """Build a play of half the width whose follower keeps its speed until either end catches it: (z, z')."""
+    """Build a play of half the width whose follower coasts until either end catches it: states (z, z')."""
 
     def once(p, h):
         slowed = jnp.exp(-p.rate * h)
@@ -121,9 +136,9 @@ def coasting() -> Kernel:
 
 
 def _travelled(advance: Callable) -> Kernel:
-    """Build a state that begins relaxed and depends on the way alone, not on the time it took."""
+    """Build a relaxed initial state that depends on the distance alone, not on its duration."""
 
-    def ahead(p, z, now):  # the way to half a step on, at the velocity of the step; none is known at order 1
+    def ahead(p, z, now):  # the distance to half a step later, at the velocity of the step; unknown at order 1
         way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
         return advance(p, z, 0.0 * way, way, 0.0)
 
@@ -131,11 +146,11 @@ def _travelled(advance: Callable) -> Kernel:
 
 
 def dahl(width: str = "width") -> Kernel:
-    """Build a state that saturates at the yield displacement r, the number of that name."""
+    """Build a state that saturates at the yield displacement r, the parameter of that name."""
 
     def advance(p, z, before, after, h):
         r = getattr(p, width)
-        # towards the yield on the side of the motion, by the exponential of the way
+        # towards the yield on the side of the motion, exponentially with the distance
         end = jnp.sign(after - before) * r
         return end + (z - end) * jnp.exp(-jnp.abs(after - before) / r)
 
@@ -143,10 +158,10 @@ def dahl(width: str = "width") -> Kernel:
 
 
 def dahl_of_integral() -> Kernel:
-    """Build a state between -1 and 1 that follows the integral of what enters, and saturates over a `width` of it."""
+    """Build a state between -1 and 1 that follows the integral of its input, and saturates over a `width` of it."""
 
     def advance(p, z, before, after, h):
-        way = h / 2 * (before + after)  # exact while what enters keeps its sign
+        way = h / 2 * (before + after)  # exact while the input keeps its sign
         end = jnp.sign(way)
         return end + (z - end) * jnp.exp(-jnp.abs(way) / p.width)
 
@@ -154,7 +169,7 @@ def dahl_of_integral() -> Kernel:
 
 
 def bouc_wen() -> Kernel:
-    """Build a state whose growth |z| / width resists: times gamma + 1 on loading, times gamma - 1 on unloading."""
+    """Build a state with growth resisted by |z| / width: times gamma + 1 on loading, gamma - 1 on unloading."""
 
     def advance(p, z, before, after, h):
         way = after - before
@@ -163,7 +178,7 @@ def bouc_wen() -> Kernel:
             return 1 - (p.gamma + jnp.where(z * way > 0, 1, -1)) * jnp.abs(z) / p.width
 
         middle = z + way / 2 * slope_at(z)
-        # where nothing resists the loading z grows without end; ten widths are more than any recording shows
+        # without resistance z grows without limit; ten widths are more than any recording shows
         most = p.width / jnp.clip(p.gamma + 1, 0.1, None)
         return jnp.clip(z + way * slope_at(middle), -most, most)
 
@@ -185,7 +200,7 @@ CLOCK = Kernel(
 
 
 def slew() -> Kernel:
-    """Build a state that runs towards what enters, no faster than 1 / inverse."""
+    """Build a state that follows its input, no faster than 1 / inverse."""
 
     def advance(p, z, before, after, h):
         most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
@@ -195,8 +210,8 @@ def slew() -> Kernel:
 
 
 def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:
-    """Read a series a number of samples earlier, linear between them; `before` stands ahead of the first one."""
-    # by index and weight, not by interp: a delay is fitted, and its slope must be that of the line between samples
+    """Return a series delayed by a number of samples, linear between them; `before` precedes the first one."""
+    # by index and weight instead of interp, because a fitted delay needs the slope of the line between samples
     at = jnp.arange(values.shape[0]) - samples
     index = jnp.floor(at)
     weight = (at - index).astype(values.dtype)
@@ -207,12 +222,12 @@ def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " ti
 
 
 def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
-    """Read a series a number of samples later: what a delay must be given now. The last value is repeated."""
-    # by interp here: nothing is fitted through an inverse, and beyond the end it repeats the last value by itself
+    """Return a series advanced by a number of samples, as the input of a delay. The last value is repeated."""
+    # interp suffices here: no fit differentiates an inverse, and it repeats the last value beyond the end
     place = jnp.arange(values.shape[0], dtype=values.dtype)
     return jnp.interp(place + samples, place, values)
 
 
 def total_delay(effects: Sequence) -> float:
-    """Add up a model's delays, s."""
+    """Return the sum of a model's delays, s."""
     return sum(float(e.time) for e in effects if e.spec.kernel is DELAY)

@@ -1,4 +1,4 @@
-"""Add forces that remember (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
+"""Forces with memory (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
 
 creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega_0 > 15, relaxation below
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
@@ -6,7 +6,7 @@ hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x               
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
-A loop of hysteresis has the same area however fast it is run through.
+A hysteresis loop has the same area at every speed.
 """
 
 import jax.numpy as jnp
@@ -22,12 +22,12 @@ _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
 def _by_time(p, k, plant):
-    """Report a memory as creep where it is slow beside the plant."""
+    """Report a memory as creep if it is slow compared with the plant."""
     return "creep" if p.tau > _SLOW * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
 
 
 def _by_give(p, k, plant):
-    """Report a loop as the bristles of dry friction where it gives little before it slides."""
+    """Report a hysteresis loop as dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)
@@ -49,7 +49,7 @@ LOOPS = (
         "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
         costly=True,
-        # widths about evenly apart in their logarithm: the loop is rounded like a real one, by four numbers in one
+        # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
         kernel=play(0.15, 0.4, 1.0, 2.2),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),

@@ -1,4 +1,4 @@
-"""Change what the sensor makes of the motion (port OUT): x to the reading y.
+"""Effects of the sensor on the reading (port OUT): x to the reading y.
 
 sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
@@ -14,7 +14,7 @@ from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
 from .spec import EffectSpec, Parameter
 
-_TURN = 50.0  # samples a play takes to be crossed at the speed from which a motion has one direction
+_TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
 _WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
 _SECOND = Parameter("c2", "1/x", length=-1, positive=False, off=0.0)
@@ -22,14 +22,14 @@ _THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
 
 
 def _second_order(p, y, dt):
-    # the equation itself, read from right to left
+    # the equation itself, solved for x
     first = slope(y, dt)
     return y + 2 * p.zeta * p.tau * first + p.tau**2 * slope(first, dt)
 
 
 def _across(p, y, dt):
-    """Compute x = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
-    # the sign of y' rounded by tanh: a jump of the whole play within a sample no motion could follow
+    """Return x = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
+    # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample
     least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
 
@@ -40,7 +40,7 @@ SENSOR = (
         "y = (1 + d) x", "sensor", "OUT", moves="gain", twin="parameter_change",
         law=lambda p, x, z: (1 + p.d) * x,
     ),
-    # the curves rise as far as the records go: within these bounds they can be undone
+    # the curves rise over the range of the records, so within these bounds they can be inverted
     EffectSpec(
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
         "The sensor's scale bends differently on either side.",
@@ -51,12 +51,12 @@ SENSOR = (
         "The sensor reads ever less of the motion towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
         costly=True,
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
-        # beyond its range the sensor could not read what is asked for: the last place that it could
+        # beyond its range the sensor cannot show the wanted reading: the last possible position
         inverse=lambda p, y, dt: jnp.where(
             p.c > 0, jnp.arctanh(jnp.clip(p.c * y, -0.999, 0.999)) / jnp.maximum(p.c, 1e-6), y
         ),
     ),
-    # no inverse: of two displacements that read alike the one that is not folded is taken
+    # without a unique inverse: of two displacements with the same reading, the one that is not folded
     EffectSpec(
         "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
         "The sensor does not tell the direction: beyond a place it reads back again.",
@@ -73,7 +73,7 @@ SENSOR = (
         "backlash", "coasting", (_WIDTH, Parameter("rate", "1/s")),
         "There is play between what moves and a load that coasts until it is caught.",
         "y'' = -rate y' within x - width/2 < y < x + width/2, y' = x' at either end", "dissipation", "OUT",
-        # no closed inverse: the load is thrown to and fro, and the shooting on the rollout is left with half the width
+        # without a closed inverse: the load moves freely, and shooting on the rollout corrects for half the width
         kernel=coasting(), inverse=lambda p, y, dt: y,
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
@@ -86,14 +86,14 @@ SENSOR = (
         "The sensor is a low-pass filter, or stands on a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
         kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
-        # at tau = 0 the oscillator stands at its bound, and would be read instead of x
+        # at tau = 0 the oscillator is at its bound, and would replace x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),
     EffectSpec(
         "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
         "A mass on a spring stands between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
         "inertia", "OUT", kernel=oscillator(),
-        # from gain 1 on what is read has a zero in the right half plane, and is left to the shooting on the rollout
+        # from gain 1 on the reading has a zero in the right half plane, and shooting on the rollout takes over
         law=lambda p, x, z: x + p.gain * (z[0] - x), solvable=lambda p: p.gain < 0.95,
     ),
 )  # fmt: skip

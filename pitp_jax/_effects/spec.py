@@ -1,10 +1,10 @@
-"""Define a row of the catalogue: what an effect is called, where it enters, its numbers, its law and its memory.
+"""Rows of the catalogue: the name of an effect, its port, its parameters, its law and its memory.
 
     sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
 
-Ports: IN u to V, SQ the film's force at a displacement, K C M T forces beside the nominal's, OUT x to the reading; z
+Ports: IN u to V, SQ the film's force at a displacement, K C M T forces added to the nominal's, OUT x to the reading; z
 are the kernel's states. All is in the model's scaled coordinates: X_i = x^(i) / scale_i, force over force_scale,
-stiffness in units of the nominal's; voltages in V, times in s. `Parameter` says how a number returns to physical units.
+stiffness in units of the nominal's; voltages in V, times in s. `Parameter` defines the conversion to physical units.
 """
 
 from collections.abc import Callable
@@ -21,19 +21,20 @@ from .kernels import NOTHING, Kernel
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One parameter of an effect.
 
     Attributes:
-        name: how the law reads it.
+        name: its key in the law.
         unit: physical unit; "x" stands for the displacement's unit.
-        length, speed, acceleration, force: powers of the scales of x, x', x'' and of the force that take the stored
+        length, speed, acceleration, force: powers of the scales of x, x', x'' and of the force that convert the stored
             value to physical units.
-        positive: fitted by its logarithm (else as it is).
-        off: where the effect vanishes; None: the number does not matter where another one is off.
-        linear: the effect is proportional to it (asked of the first parameter only).
+        positive: fitted by its logarithm (otherwise directly).
+        off: value at which the effect vanishes; None: it has no influence when another parameter is off.
+        linear: the effect is proportional to it (used for the first parameter only).
         least, most: bounds of a fit, in the model's scaled coordinates.
-        slow: a time constant that is fitted no shorter than the plant's own.
-        fixed: never fitted: a unit decides it.
+        slow: a time constant that is fitted at least as long as the plant's own.
+        resonance: a frequency that is fitted inside the excited band, with both its sides visible.
+        fixed: never fitted, because a unit determines it.
     """
 
     name: str
@@ -48,41 +49,41 @@ class Parameter:
     least: float = -np.inf
     most: float = np.inf
     slow: bool = False
+    resonance: bool = False
     fixed: bool = False
 
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """One form of one effect, as data; two rows are equal where name, form and parameters are.
+    """One form of one effect, as data; two rows are equal if name, form and parameters are.
 
     Attributes:
-        name: the effect, as a diagnosis prints it; form: one way to write it down.
-        title: what it does, one plain sentence.
+        name: the effect, as a diagnosis prints it; form: one of its laws.
+        title: one plain sentence about the effect.
         equation: its law in symbols.
         family, port: see above.
         parameters: its numbers.
-        law: p are the numbers by name.
-            IN, OUT: fn(p, w, z), what leaves where w enters, z the states at that instant.
-            SQ: fn(p, force, x), the force on the structure.
-            K, C, M, T: fn(p, now), the extra force at an `Instant`.
+        law: p are the parameters by name. IN, OUT: fn(p, w, z), output for the input w, z the states at that instant.
+            SQ: fn(p, force, x), the force on the structure. K, C, M, T: fn(p, now), the extra force at an `Instant`.
         kernel: its memory.
-        mass: fn(p, now) of a force: what it adds to the coefficient of x'' (of x^(n) below order 2).
+        mass: fn(p, now) of a force: its addition to the coefficient of x'' (of x^(n) below order 2).
         inverse: in closed form; without one, a guarded Newton solves the law.
             IN, OUT: fn(p, series, dt) for a smooth series that begins at rest.
             SQ: fn(p, force, x), infinite where no field makes it.
-        solvable: fn(p), false where solving a law with a memory would grow without end: what leaves is then handed on.
-        passes: fn(p, series, dt), true where some drive gives this film voltage (IN).
-        driven: its force depends on that of the film, for which an inverse then solves.
-        costly: a step of it takes exponentials or many states; the search simulates such sets apart.
-        resolved: friction and slack, whose force is found within a step on the motion that all other forces leave.
-        linear: a part of a linear model (what delays or filters drive or reading).
-        stiffens: its first number is a stiffness beside the nominal's, in units of that.
-        moves: the one number of a linear model that it changes: "mass", "gain" or "delay".
-        twin: the name that one linear plant, or one sensor, cannot tell from it whatever is played.
-        second: name and form of the row that is the same law once more, for a second time constant beside it.
-        reported: fn(p, k, plant), name, form and numbers of the row that it is reported as: signs and sizes decide
-            between those that share a law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
-        needs_mass: it means nothing for a nominal of order one.
+        solvable: fn(p), false if solving a law with a memory would diverge: the output is then passed on.
+        passes: fn(p, series, dt), true where some input gives this film voltage (IN).
+        driven: its force depends on the film's force, so an inverse must solve for that.
+        costly: a step needs exponentials or many states; the search simulates such sets separately.
+        resolved: friction and slack, whose force follows within a step after all other forces.
+        linear: a part of a linear model (a delay or filter of input or reading).
+        stiffens: its first parameter is an additional stiffness, in units of the nominal's.
+        moves: the parameter of a linear model that it changes: "mass", "gain" or "delay".
+        twin: the effect that a linear plant, or one sensor, cannot separate from it for any input.
+        second: name and form of the row with the same law for a second time constant.
+        reported: fn(p, k, plant), name, form and parameters of the reported row: signs and sizes decide between rows
+            with one law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
+        squares: it differs from a lag of the input only if the force is the square of the voltage.
+        needs_mass: it does not apply to a nominal of order one.
     """
 
     name: str
@@ -108,31 +109,30 @@ class EffectSpec:
     second: tuple[str, str] | None = field(default=None, compare=False)
     reported: Callable[..., Any] | None = field(default=None, compare=False)
     needs_mass: bool = field(default=False, compare=False)
+    squares: bool = field(default=False, compare=False)
 
     @property
     def key(self) -> str:
-        """How it is named in files and tables: name, then form."""
+        """Return the effect's name in files and tables: name, then form."""
         return f"{self.name}: {self.form}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Names of its numbers."""
+        """Return the names of its parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def off(self) -> tuple[float, ...]:
-        """Numbers at which it does nothing."""
-        return tuple(
-            1.0 if p.off is None else p.off for p in self.parameters
-        )  # 1: any width or time, beside strength 0
+        """Return the parameters for which the effect vanishes."""
+        return tuple(1.0 if p.off is None else p.off for p in self.parameters)  # 1: any width or time, with strength 0
 
     def __call__(self, *values) -> Effect:
-        """Make the effect with these numbers, in the order of `parameters`."""
+        """Return the effect with these parameters, in the order of `parameters`."""
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
-        # an array keeps its precision, a plain number has that of training and rollout
+        # an array keeps its precision, a plain number gets that of training and rollout
         return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 
     def neutral(self) -> Effect:
-        """Make the effect that is not there."""
+        """Return the effect with no influence."""
         return self(*self.off)

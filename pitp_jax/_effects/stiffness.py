@@ -1,4 +1,4 @@
-"""Add springs that are not linear (port K), k = sigma_0 of the nominal; forces f beside k x.
+"""Nonlinear springs (port K), k = sigma_0 of the nominal; forces f added to k x.
 
 stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
@@ -6,7 +6,7 @@ softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L 
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
 end_stop    k kappa max(x - x_s, 0),   its mirror image, or both
 
-A Gent-like spring fitted by a cubic alone lost to an end stop, hence several forms under one name.
+A Gent-like spring fitted by a cubic alone fitted worse than an end stop, so an effect has several forms.
 """
 
 import jax.numpy as jnp
@@ -15,21 +15,21 @@ import numpy as np
 from .kernels import FARTHEST
 from .spec import EffectSpec, Parameter
 
-_LIMIT = 0.97**2  # of the squared length of the Gent-like spring; beyond, the force goes on linearly
-_SMALL = 0.03  # below, a ratio is replaced by its series: 0/0 in float32
-_LOST = 0.97  # of a saturating spring; without the other 3 % nothing would bring it back
+_LIMIT = 0.97**2  # of the squared length of the Gent-like spring; above, the force continues linearly
+_SMALL = 0.03  # below, a ratio is replaced by its series, because 0/0 is undefined in float32
+_LOST = 0.97  # of a saturating spring; the remaining 3 % restore it
 
 
 def _gent(p, now):
     square = (p.curvature * now.x) ** 2
     inside = square / (1 - jnp.minimum(square, _LIMIT))
-    # the tangent there: a rollout that runs against the chain's end meets a steep spring, not a division by zero
+    # the tangent there, so that a rollout beyond the chain's end meets a steep spring instead of a division by zero
     beyond = _LIMIT / (1 - _LIMIT) + (square - _LIMIT) / (1 - _LIMIT) ** 2
     return now.k * now.x * jnp.where(square < _LIMIT, inside, beyond)
 
 
 def _quadratic(p, now):
-    # no further than where the spring's slope is a tenth of k: -k c x^2 alone would turn the spring round
+    # up to where the spring's slope is a tenth of k, because -k c x^2 alone would reverse it
     turn = 0.45 / jnp.maximum(p.c, 1e-9)
     inside = jnp.where(now.x > turn, turn + 0 * now.x, now.x)
     beyond = jnp.maximum(now.x - turn, 0.0)
@@ -37,7 +37,7 @@ def _quadratic(p, now):
 
 
 def _ratio(r, of, series):
-    """Compute of(r) / r - 1, by its series near zero."""
+    """Return of(r) / r - 1, by its series near zero."""
     small = jnp.abs(r) < _SMALL
     return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r) - 1)
 
@@ -53,20 +53,20 @@ def _weight(p, now):
 
 
 def _exponential(p, now):
-    r = jnp.clip(p.b * now.x, -3.0, 6.0)  # far on the hard side the exponential would outrun any step
+    r = jnp.clip(p.b * now.x, -3.0, 6.0)  # far on the hard side the exponential would be too steep for any step
     return now.k * now.x * _ratio(r, lambda r: -jnp.expm1(-r), -r / 2 + r**2 / 6)
 
 
 def _root(p, now):
-    # (sqrt(1 + 2 r) - 1) / r falls from 1 as the root does, and is smooth at x = 0, where a bare root is not
+    # (sqrt(1 + 2 r) - 1) / r falls from 1 as the root does, and is smooth at x = 0, unlike a bare root
     r = p.curvature * jnp.abs(now.x)
     return now.k * now.x * _ratio(r, lambda r: jnp.sqrt(1 + 2 * r) - 1, -r / 2 + r**2 / 2)
 
 
 def _by_tangent(p, k, plant):
-    """Report a polynomial as what its tangent does from rest to the ends of the motion, the farther end first.
+    """Report a polynomial by its tangent from rest to the ends of the motion, the farther end first.
 
-    Of a motion to one side, the tangent of c2 x^2 at its ends has the mean of that in its middle, whatever the sign.
+    For a motion to one side, the mean of the tangents of c2 x^2 at its ends equals that at its middle, for either sign.
     """
     ends = np.array([plant.bottom, plant.top])
     change = np.polyval([5 * p.c5, 0, 3 * p.c3, 2 * p.c2, 0], ends)

@@ -1,10 +1,10 @@
-"""Export: a model and its inverse as C99, as an FMU and as MATLAB functions.
+"""Export: writes a model and its inverse as C99, as an FMU and as MATLAB functions.
 
-    make_jaxpr(one step, the model's numbers in it) -> scalar expressions -> text; templates around it
+    make_jaxpr(one step, with the model's numbers) -> scalar expressions -> text; templates around it
 
-`steps` says what is written, `jaxpr` and `scalars` take it apart, `writing` writes it, `c99`, `fmu` and `matlab` frame
-it; `pi_gains` tunes the controller, `differentiator` weighs a target's window. An effect stays written once, in
-Python: what can be stepped can be exported.
+`steps` defines the programs, `jaxpr` and `scalars` convert them to expressions, `writing` writes these as text, and
+`c99`, `fmu` and `matlab` add the templates. `pi_gains` tunes the controller, `differentiator` weights a target's
+window. An effect is written once, in Python: every effect that can be stepped can be exported.
 """
 
 from .c99 import export_c as export_c

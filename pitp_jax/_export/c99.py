@@ -1,4 +1,4 @@
-"""Write C99: one header, one source, a test vector, a Makefile, a loop and a page that says how to use them.
+"""Write C99: one header, one source, a test vector, a Makefile, a loop and a README on their use.
 
 init(state, y0, u0)     predict_step(state, u) -> y     inverse_step(state, [y, y', ..., y^(n)]) -> u, flags
                         pi_step(state, [y, ..., y^(n)], measured), pi_target_step(state, y, measured) -> u, flags
@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import __version__
 from .._model.coordinate import direction, sign
+from .._model.coverage import trained_words
 from .._model.fitted import Fitted
 from .._model.model import Model
 from .._table.quantity import grouped, per_second
@@ -31,14 +32,14 @@ def export_c(
 
     Args:
         model: identified or trained, with any effects.
-        folder: made; it must not exist.
+        folder: created; it must not exist.
         name: of the files and functions, `pitp_<name>`.
         rate: steps per second; None: the model's own.
         precision: "double" or "single".
-        time_constant: of the closed loop of the PI steps, s; None: what `pi_gains` takes.
+        time_constant: of the closed loop of the PI steps, s; None: the default of `pi_gains`.
 
     Returns:
-        What another rate than the model's costs, e_rms in %; None at its own rate.
+        Error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.
@@ -59,7 +60,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
     values = substitutions(plan)
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
-    # written before the helpers and tables that they turn out to need, which stand in front of them in the file
+    # written first, because helpers and tables that precede them in the file are known only afterwards
     functions = "\n".join(
         writer.function(f"{what}_{part}", code, states, outputs)
         for what, written, count in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2))
@@ -82,7 +83,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
-    """Write what stands around the sources: test vector, Makefile, loop, README."""
+    """Write the files around the sources: test vector, Makefile, loop, README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
     square, told = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
     values |= {
@@ -102,13 +103,14 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 
 
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
-    """Collect what a README and a check of any language say, as text."""
+    """Return the values for the README and the check of any language, as text."""
     test, precision = plan.test, "single" if plan.single else "double"
     full = max(float(np.ptp(test.displacement)), plan.stroke)
     # a reading far from zero is rounded, in float by more than the bound
     kind = np.float32 if plan.single else np.float64
     rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
     return substitutions(plan) | {
+        "excited": trained_words(Fitted(plan.model, plan.origin)),
         "count": str(planning.SAMPLES), "every": str(test.every), "what": test.what, "range": repr(full),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
         "tolerance": repr(planning._PREDICTED[precision] + rounding),
@@ -119,7 +121,7 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
 
 
 def substitutions(plan: Plan) -> dict[str, str]:
-    """Collect what the header says, as text."""
+    """Return the values for the header, as text."""
     writer, model, units = Writer("c", plan.single), plan.model, plan.units
     per, stiffness = units.coefficient(0)
     low, high, slew = plan.voltages
@@ -148,7 +150,7 @@ def substitutions(plan: Plan) -> dict[str, str]:
 
 
 def _meaning(plan: Plan) -> str:
-    """Say what a displacement means, in the words of headers and pages."""
+    """Return the meaning of a displacement, in the words of headers and pages."""
     units, line = plan.units, f"0 at 0 {plan.units.input.unit}"
     if units.squared:
         return f"{line}, growing as the actuator extends whatever the sensor's direction"
@@ -156,7 +158,7 @@ def _meaning(plan: Plan) -> str:
 
 
 def loop_text(gains: PIGains) -> str:
-    """Describe the closed loop in one line."""
+    """Return the closed loop in one line."""
     if np.isinf(gains.time_constant):
         return "no controller, the feedforward alone"
     margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
@@ -164,7 +166,7 @@ def loop_text(gains: PIGains) -> str:
 
 
 def sizes(plan: Plan) -> dict[str, str]:
-    """Estimate what it takes of a controller: RAM and constants in bytes, operations of a call."""
+    """Estimate the load of a controller: RAM and constants in bytes, operations of a call."""
     width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
     reals = plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 8
     predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
@@ -172,7 +174,7 @@ def sizes(plan: Plan) -> dict[str, str]:
     tables = width * ((n + 2) * BLOCKS + (n + 1) * (n + 2)) + sum(
         width * one.run.constants() for one in (plan.predict, plan.inverse)
     )
-    # a multiplication with its loads is some 10 bytes of Thumb-2 code; what frames the steps takes 2 kB
+    # a multiplication with its loads is about 10 bytes of Thumb-2 code; the frame of the steps takes 2 kB
     flash = tables + 10 * (predict + inverse) + 2048
     return {
         "ram": f"{width * reals + 16}", "flash": f"{flash / 1024:.0f}", "predict_operations": f"{predict}",
@@ -181,7 +183,7 @@ def sizes(plan: Plan) -> dict[str, str]:
 
 
 def table(writer: Writer, values: np.ndarray) -> str:
-    """Write the initialisers of an array, six numbers to a line."""
+    """Return the initialisers of an array as text, six numbers per line."""
     values = np.asarray(values, np.float64)
     if values.ndim > 1:
         return ",\n".join("    {" + table(writer, row).strip() + "}" for row in values)
@@ -190,7 +192,7 @@ def table(writer: Writer, values: np.ndarray) -> str:
 
 
 def filled(template: str, values: dict[str, str]) -> str:
-    """Fill a template: every @key@ is replaced."""
+    """Return a template with every @key@ replaced."""
     text = (TEMPLATES / template).read_text(encoding="utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)

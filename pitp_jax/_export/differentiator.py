@@ -1,11 +1,11 @@
-"""Differentiate the target of an exported step: a window around the sample, weighted.
+"""Differentiate the target of an exported step by a weighted window around the sample.
 
     y^(i)(t) = sum_k W_ik m_k,   m_k = mean of the k-th block of samples          26 blocks of B samples
 
-B = 1 has an odd interpolating spline. Where the rounding of what comes in, eps / 2 of the farthest reading, would be
-seen in the force, blocks are longer and W is the least-squares polynomial of degree d through their means. (B, d) is
-the shortest window whose force is right to 0.2 % for a cosine at the resonance: truncation of the cosine plus four
-standard deviations of the rounding; else the best one.
+B = 1 has an odd interpolating spline. If the rounding of the input, eps / 2 of the largest reading, would be visible in
+the force, blocks are longer and W is the least-squares polynomial of degree d through their means. (B, d) is the
+shortest window whose force is right to 0.2 % for a cosine at the resonance: truncation of the cosine plus four standard
+deviations of the rounding; otherwise the best one.
 
 Savitzky and Golay (1964), Smoothing and differentiation of data by simplified least squares procedures.
 """
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.polynomial import legendre
 from scipy.interpolate import make_interp_spline
 
-HALF = 12  # blocks on either side of the one that is differentiated in
+HALF = 12  # blocks on either side of the one in which the derivative is taken
 BLOCKS = 2 * HALF + 2
 ALLOWED = 5e-3  # of the force
 _ENOUGH = 2e-3
@@ -26,14 +26,14 @@ _LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples to a block
 
 @dataclass(frozen=True)
 class Differentiator:
-    """Weights of a window.
+    """The weights of a window for differentiation.
 
     Attributes:
         order: highest derivative.
         dt: s between two samples.
         block: samples to a block.
         degree: of the polynomial; 0: the spline.
-        late: s by which the derivative is wanted after the middle of the window.
+        late: time of the derivative after the middle of the window, s.
     """
 
     order: int
@@ -44,17 +44,17 @@ class Differentiator:
 
     @property
     def look_ahead(self) -> int:
-        """Number of samples by which a target is given early."""
+        """Return the number of samples by which a target must be given early."""
         return HALF * self.block + self.block // 2 + int(np.ceil(self.late / self.dt))
 
     @property
     def place(self) -> float:
-        """Place where the derivative is taken, samples from the newest."""
+        """Return the place where the derivative is taken, in samples from the newest."""
         return self.late / self.dt - self.look_ahead
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Rows 0 ... order: derivatives; the last one: the sample that comes next. Shape (order + 2, BLOCKS)."""
+        """Return rows for the derivatives 0 ... order and for the next sample, shape (order + 2, BLOCKS)."""
         degree = self.degree or 2 * ((self.order + 3) // 2) + 1
         fitted = self._fitted(degree)
         if self.degree:
@@ -72,7 +72,7 @@ class Differentiator:
         def scaled(k):
             return (k + half - 0.5) / half
 
-        # Legendre on [-1, 1]: powers of the sample's number are nearly one another's multiples
+        # Legendre polynomials on [-1, 1], because powers of the sample's number are nearly linearly dependent
         design = legendre.legvander(scaled(samples), degree).mean(1)
         to_coefficients = np.linalg.pinv(design)
         unit, rows = 1 / (half * self.dt), []
@@ -94,14 +94,14 @@ class Differentiator:
 def differentiator(
     a: np.ndarray, dt: float, omega: float, rounding: float, late: float
 ) -> tuple[Differentiator, float]:
-    """Choose the shortest window that is right to 0.2 % of the force, else the best one; and give its error.
+    """Return the shortest window within 0.2 % of the force, otherwise the best one, and its error.
 
     Args:
         a: nominal coefficients a_0 ... a_n.
         dt: s between two samples.
         omega: of the resonance, rad/s.
         rounding: standard deviation of a sample's rounding, over the half-swing of the smallest motion.
-        late: s the drive is late by.
+        late: delay of the input, s.
     """
     order = len(a) - 1
     best, least = Differentiator(order, dt, 1, 0, late), np.inf

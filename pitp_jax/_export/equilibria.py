@@ -1,4 +1,4 @@
-"""Find equilibria of the trained stroke: displacements that a voltage within the model's range holds.
+"""Find equilibria of the trained stroke: displacements that a voltage within the model's range can hold.
 
     N(x) = force that holds the actuator at x (memories and effects settled),   map(film(u)) = N(x),   low <= u <= high
 
@@ -16,14 +16,14 @@ from .._model.model import Model
 from .._model.programs import full_precision
 from .._simulate import ports
 
-_LEVELS = (0.1, 0.25, 0.5, 0.75, 1.0)  # of the stroke that voltages hold
+_LEVELS = (0.1, 0.25, 0.5, 0.75, 1.0)  # fractions of the stroke that voltages can hold
 _SCANNED, _SECTIONS = 65, 6  # displacements of one section, and sections: the last one is 1e-11 of the stroke wide
-_DOUBLINGS = 100  # of the voltage, where a model has no range
+_DOUBLINGS = 100  # of the voltage, if a model has no range
 
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """An actuator at rest under a voltage: displacement (m, model coordinates), voltage (V), stiffness dF/dx."""
+    """An equilibrium: displacement (m, model coordinates), voltage (V), stiffness dF/dx."""
 
     displacement: float
     voltage: float
@@ -31,12 +31,12 @@ class Equilibrium:
 
 
 def stroke(model: Model) -> float:
-    """Find the largest displacement of the training, m, else the static one under its largest voltage."""
+    """Return the largest displacement of the training (m), otherwise the static one at its largest voltage."""
     return max(map(abs, _ends(model)))
 
 
 def _ends(model: Model) -> tuple[float, float]:
-    """Find the lowest and the highest displacement of the training, m."""
+    """Return the lowest and the highest displacement of the training, m."""
     if len(model.domain.region):
         low, high = np.array(model.domain.region[0]) * model.scales.state[0]
         return float(min(low, 0.0)), float(max(high, 0.0))
@@ -81,7 +81,7 @@ def equilibria(model: Model) -> list[Equilibrium]:
 
 
 def holding_force(model: Model, x):
-    """Compute the force of the film (V^2 or V) that holds an actuator at x (m, model coordinates) for ever."""
+    """Compute the force of the film (V^2 or V) that holds a settled actuator at x (m, model coordinates)."""
     scaled = x / model.scales.state[0]
     row = jnp.zeros(model.order + 1).at[0].set(scaled)
     states = ports.split(model, ports.initial(model, scaled, jnp.zeros(()), 0.0))
@@ -90,7 +90,7 @@ def holding_force(model: Model, x):
 
 
 def _reached(holding, end: float, limit: float) -> float:
-    """Find how far towards `end` the range's forces hold the actuator, m: a resonance carries it farther."""
+    """Return how far towards `end` a force within the range can hold the actuator, m."""
     low, high = 0.0, end
     for _ in range(_SECTIONS):
         x = np.linspace(low, high, _SCANNED)
@@ -102,7 +102,7 @@ def _reached(holding, end: float, limit: float) -> float:
 
 
 def _voltages(model: Model) -> tuple[float, float]:
-    """Find the range of the model's voltage, V; a model without one has that which its forces take."""
+    """Return the range of the model's voltage (V), or a sufficient one if it has none."""
     low, high = map(float, model.domain.voltage_range)
     if model.input_map.one_sided:
         low, high = 0.0, max(high, -low)
@@ -118,7 +118,7 @@ def _voltages(model: Model) -> tuple[float, float]:
 
 
 def _force(model: Model, u: float) -> float:
-    """Compute the force of the film (V^2 or V) under a voltage that has stood for ever."""
+    """Compute the film's settled force (V^2 or V) under a constant voltage."""
     film = jnp.asarray(u)
     for effect in ports.drives(model):
         film = effect.apply(film, effect.start(film))
@@ -126,7 +126,7 @@ def _force(model: Model, u: float) -> float:
 
 
 def _bracketed(model: Model, force: float, low: float, high: float) -> float | None:
-    """Find the voltage within the range that makes a force; None where there is none."""
+    """Return the voltage within the range that gives a force; None if there is none."""
 
     def missing(u):
         return _force(model, u) - force

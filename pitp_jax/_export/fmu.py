@@ -1,4 +1,4 @@
-"""Write an FMU: the C sources behind the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
+"""Write an FMU: the C sources with the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
 
     voltage, held from t to t + DT   ->  displacement(t + DT)
     target, target_1, ... target_n   ->  command, flags            (`inverse_step`)
@@ -32,7 +32,7 @@ _BASES = {  # powers of SI's base units, by kind of quantity
     "pressure": {"kg": 1, "m": -1, "s": -2}, "angle": {"rad": 1}, "angular speed": {"rad": 1, "s": -1},
     "temperature": {"K": 1},
 }  # fmt: skip
-# what an importer looks up in every FMU and one of this kind has not: nothing to read, or no other mode
+# Functions that an importer looks up in every FMU; they return an error, because this kind does not need them.
 _MISSING = {
     2: "SetInteger GetBoolean SetBoolean GetString SetString GetDirectionalDerivative SetRealInputDerivatives "
     "GetRealOutputDerivatives CancelStep GetStatus GetRealStatus GetIntegerStatus GetBooleanStatus GetStringStatus",
@@ -47,21 +47,21 @@ _MISSING = {
     "GetOutputDerivatives ActivateModelPartition",
 }
 
-_FINER = 16  # steps of the reference a step of the FMU
+_FINER = 16  # steps of the reference per step of the FMU
 
 
 def export_fmu(
     model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None,
     precision: str = "double", fmi: int = 2,
 ) -> float | None:  # fmt: skip
-    """Write `pitp_<name>.fmu` (sources, and a binary where this machine is Linux and has a C compiler) into a folder.
+    """Write `pitp_<name>.fmu` into a folder: sources, and a binary on Linux with a C compiler.
 
     Args:
         model: as for `export_c`; folder, name, rate and precision likewise.
         fmi: version of the interface, 2 or 3.
 
     Returns:
-        what another rate than the model's costs, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.
@@ -71,7 +71,7 @@ def export_fmu(
     """
     if fmi not in _MISSING:
         raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
-    # a co-simulation sets an input at the beginning of a step and keeps it: what comes next is not known
+    # A co-simulation sets an input at the start of a step and holds it; the next value is unknown.
     plan = planning.plan(model, name, rate, precision, np.inf, held=True)
     cost = rate_error(plan)
     with whole_folder(folder) as stage:
@@ -86,7 +86,7 @@ def export_fmu(
             (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values), encoding="utf-8")
         _build(inside, values["id"], fmi)
         with ZipFile(stage / f"{values['id']}.fmu", "w", ZIP_DEFLATED) as archive:
-            for file in sorted(p for p in inside.rglob("*") if p.is_file()):  # in one order on every file system
+            for file in sorted(p for p in inside.rglob("*") if p.is_file()):  # in the same order on every file system
                 archive.write(file, file.relative_to(inside).as_posix())
         rmtree(inside)
         _write_check(plan, stage, values | frame(plan, cost))
@@ -130,7 +130,7 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
 
 
 def _base(quantity: Quantity, times: int = 0) -> str:
-    """Write the base unit of a quantity's derivative of some order, as attributes of a model description."""
+    """Return the base unit of a quantity's derivative of some order, as attributes of a model description."""
     powers = dict(_BASES.get(kind_of(quantity.unit) or "", {}))
     powers["s"] = powers.get("s", 0) - times
     words = [f'{unit}="{power}"' for unit, power in powers.items() if power]
@@ -138,7 +138,7 @@ def _base(quantity: Quantity, times: int = 0) -> str:
 
 
 def _build(inside: Path, name: str, fmi: int) -> None:
-    """Compile the Linux binary where that can be done here; other systems compile the sources on import."""
+    """Compile the Linux binary if possible on this machine; other systems compile the sources on import."""
     compiler = which("cc") or which("gcc") or which("clang")
     if not sys.platform.startswith("linux") or compiler is None or sys.maxsize < 2**32:
         return
@@ -150,7 +150,7 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """Write the test vector as cross-check files: what goes in, what comes out, how it is run; a page and the check."""
+    """Write the test vector as cross-check files (inputs, outputs, options), a README and the check."""
     test, name = plan.test, values["id"]
     time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided
@@ -159,7 +159,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(plan.predict_step(held=True), test.voltage, 0.0)
-    # the same held voltage, integrated apart in steps that are a sixteenth as long
+    # the same held voltage, integrated separately in steps of a sixteenth
     fine = replace(plan, dt=plan.dt / _FINER).predict_step(held=True)
     (held,) = played(fine, np.repeat(test.voltage, _FINER), 0.0)
     rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned, held[_FINER - 1 :: _FINER]]

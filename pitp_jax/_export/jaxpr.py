@@ -1,8 +1,8 @@
-"""Turn a JAX program into scalar expressions: every primitive an effect, an encoder or a step may use, once.
+"""Convert a JAX program into scalar expressions, with one rule for each primitive.
 
-    make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, arrays gone
+    make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, no arrays left
 
-Primitives that only move elements are run on an array of places; those that compute work element by element; large
+Primitives that only move elements are applied to an array of indices; those that compute work element by element; large
 products with known weights and long loops stay loops.
 """
 
@@ -24,7 +24,7 @@ _SAME = ("stop_gradient", "copy", "copy_p", "reduce_precision", "optimization_ba
 
 
 def program(function: Callable, *examples) -> Program:
-    """Write the scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are leaves, flattened."""
+    """Return the scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are leaves, flattened."""
     closed = jax.make_jaxpr(function)(*examples)
     make, shapes = Builder(), [v.aval.shape for v in closed.jaxpr.invars]
     inputs = sum(int(np.prod(s)) for s in shapes)
@@ -39,13 +39,13 @@ def _cut(values: Sequence, shapes) -> list[np.ndarray]:
 
 
 def _array(values: Sequence, shape) -> np.ndarray:
-    array = np.empty(len(values), object)  # filled afterwards: np.array would look into what the values hold
+    array = np.empty(len(values), object)  # filled afterwards, because np.array would look into the values
     array[:] = values
     return array.reshape(shape)
 
 
 def _known(value) -> np.ndarray:
-    """Make an array of Python numbers."""
+    """Return an array of Python numbers."""
     value = np.asarray(value)
     return _array(value.ravel().tolist(), value.shape)
 
@@ -92,7 +92,7 @@ def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
-    """Run a primitive that only moves elements on their places; return where each output's elements come from."""
+    """Apply a primitive that only moves elements to their indices; return the origin of each output's elements."""
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
         return [args[0].reshape(equation.outvars[0].aval.shape)]
@@ -105,16 +105,16 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
         raise BadInput(f"a step with the operation {name} cannot be written as C: use others in an encoder of your own")
     moving = _MOVES[name]
     firsts = np.cumsum([0, *(a.size for a in args[:moving])])
-    # JAX itself moves the places, as numbers: no rule of slicing or padding is written a second time here
+    # JAX itself moves the places, as numbers, so no rule of slicing or padding is written twice
     pool = np.concatenate([a.ravel() for a in args[:moving]])
     places = [jnp.asarray(f + np.arange(a.size).reshape(a.shape)) for f, a in zip(firsts, args, strict=False)][:moving]
     still = [_number(a, equation) for a in args[moving:]]
     bound = equation.primitive.bind(*places, *still, **params)
     outputs = [np.asarray(output) for output in (bound if equation.primitive.multiple_results else [bound])]
-    return [pool[o.ravel()].reshape(o.shape) for o in outputs]  # a bare pool[o] of no axes would be its element
+    return [pool[o.ravel()].reshape(o.shape) for o in outputs]  # a bare pool[o] without axes would be its element
 
 
-# primitives that move elements, and how many of their first arguments are moved; the others say where to
+# primitives that move elements, and the number of arguments moved; the others state the places
 _MOVES = {
     "broadcast_in_dim": 1, "transpose": 1, "rev": 1, "slice": 1, "reshape": 1, "gather": 1, "dynamic_slice": 1,
     "stack": 99, "unstack": 1, "pad": 2, "split": 1, "expand_dims": 1,
@@ -122,8 +122,8 @@ _MOVES = {
 
 
 def _number(array: np.ndarray, equation) -> jax.Array:
-    """Read indices, which must be known."""
-    # the step would need an array in memory, and a check of its bounds
+    """Return an array of scalars as integer indices; refuse it if they are not known when the code is written."""
+    # otherwise the step would need an array in memory and a check of its bounds
     if any(isinstance(a, Node) for a in array.ravel()):
         raise BadInput(f"a step whose {equation.primitive.name} takes a place found while it runs cannot be written")
     return jnp.asarray(np.asarray(array.tolist(), int))
@@ -143,7 +143,7 @@ def _converted(make, params, args, equation):
 
 
 def _power(make, params, args, equation):
-    def power(base):  # by squaring, as XLA does it: `pow` takes long on a controller
+    def power(base):  # by squaring, as XLA does, because `pow` is slow on a controller
         result, square, exponent = 1.0, base, abs(params["y"])
         while exponent:
             result = make.make("mul", result, square) if exponent % 2 else result
@@ -169,7 +169,7 @@ def _one_of(make, which, cases):
 
 
 def _branches(make, params, args, equation):
-    """Write all branches, and choose the one that counts: they have no side effects."""
+    """Write all branches, and select one; they have no side effects."""
     branches = [_run(make, *_opened(b), args[1:]) for b in params["branches"]]
     which = args[0].item()
     if not isinstance(which, Node):
@@ -219,7 +219,7 @@ def _product(make, params, args, equation):
 
 
 def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Multiply; by a loop over a table where the product is large, one factor is known and the other a vector."""
+    """Multiply; by a loop over a table if the product is large, one factor known and the other a vector."""
     if left.size * right.shape[1] > _WRITTEN_OUT:
         if right.shape[1] == 1 and not _unknown(left):
             return _array(_table(make, left, right[:, 0]), (len(left), 1))
@@ -241,7 +241,7 @@ def _table(make: Builder, weights: np.ndarray, vector: np.ndarray) -> list[Node]
 
 
 def _scattered(make, params, args, equation):
-    """Scatter to known places: which element each place takes, and how many it takes."""
+    """Scatter elements to known places; refuse several elements at one place."""
     target, where, update = args
     kind, indices = equation.outvars[0].aval.dtype, _number(where, equation)
 
@@ -252,7 +252,7 @@ def _scattered(make, params, args, equation):
     if np.max(spread(np.ones(update.size)), initial=0) > 1:
         raise BadInput("a step that adds twice to one place cannot be written: report it with the model")
     scattered, added = target.ravel().copy(), equation.primitive.name != "scatter"
-    # numbered from 1, so that 0 is a place that nothing goes to
+    # numbered from 1, so that 0 is a place without an element
     for k, source in enumerate(spread(np.arange(1, update.size + 1)).astype(int)):
         if source:
             new = update.ravel()[source - 1]
@@ -265,7 +265,7 @@ def _count(make, params, args, equation):
 
 
 def _scanned(make, params, args, equation):
-    """Write a scan out, or as a loop where it is long and gives nothing but its last carry."""
+    """Write a scan out, or as a loop if it is long and returns only its last carry."""
     jaxpr, consts = _opened(params["jaxpr"])
     length = params["length"]
     fixed, carried = _scan_sizes(jaxpr, equation)
@@ -285,8 +285,8 @@ def _scanned(make, params, args, equation):
 def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
     """Return how many inputs of a scan are constants, and how many are its carry.
 
-    JAX keeps these numbers under names that change from release to release. The shapes do not change: only what is
-    scanned over or stacked has one axis more outside the body than inside it.
+    JAX stores these numbers under names that change from release to release, but the shapes show them: scanned or
+    stacked arrays have one more axis outside the body than inside.
     """
 
     def same_rank(outside, inside) -> int:
@@ -297,8 +297,8 @@ def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
 
 
 def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, length: int):
-    """Write the loop as one node; None where writing it out is no longer."""
-    # numbers that are known are folded into the body, the others come in beside the carry
+    """Write the loop as one node; return None if it is not shorter than written out."""
+    # known numbers are folded into the body, the others are passed beside the carry
     inner, loose = Builder(), [k for k in known if _unknown(k)]
     shapes = [a.shape for a in (*loose, *carry)] + [r.shape[1:] for r in rows]
     inputs = sum(int(np.prod(s)) for s in shapes)
@@ -317,7 +317,7 @@ def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, len
 
 
 def _repeated(make, params, args, equation):
-    """Write out a loop whose test is known at every turn (a counter); one that waits for a value is refused."""
+    """Write out a loop with a known test at every turn (a counter); refuse one that depends on a value."""
     tests, bodies = params["cond_nconsts"], params["body_nconsts"]
     first, second, carry = args[:tests], args[tests : tests + bodies], args[tests + bodies :]
     while True:

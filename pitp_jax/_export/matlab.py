@@ -1,4 +1,4 @@
-"""Write MATLAB: a function file each way and one that checks them, no toolbox; GNU Octave runs it as well.
+"""Write MATLAB: one function file for each direction and one that checks them; no toolboxes; runs in GNU Octave.
 
 [y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
 """
@@ -24,7 +24,7 @@ def export_matlab(
         model: as for `export_c`; folder, name and rate likewise.
 
     Returns:
-        what another rate than the model's costs, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, e_rms in %; None at its own rate.
 
     Raises:
         BadInput: with nothing written.
@@ -43,7 +43,7 @@ def export_matlab(
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """Write a page, and a function that runs the test vector."""
+    """Write a README, and a function that runs the test vector."""
     test, square = plan.test, plan.model.input_map.one_sided
     told = slice(test.every - 1, None, test.every)
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
@@ -55,8 +55,8 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
 
 
 def functions(written: Written, outputs: int) -> str:
-    """Write `start` and `step`, and the bodies of their loops."""
-    # local functions of the file: MATLAB shows only the first to the outside
+    """Return the text of `start` and `step`, and the bodies of their loops."""
+    # local functions of the file: MATLAB exposes only the first one
     writer, text = Writer("matlab"), ""
     for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):
         inputs = [f"s({k + 1})" for k in range(states)] + [f"in({k + 1})" for k in range(code.inputs - states)]

@@ -1,4 +1,4 @@
-"""Tune a PI controller on the force, from the model and one number, the closed-loop time constant (IMC).
+"""Tune a PI controller on the force, from the model and the closed-loop time constant (IMC).
 
     F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I,   e = wanted - measured (model coordinates)
     loop and margins: `_invert.loop`, with G = dx/dF of the sampled decoder with its effects, the input held
@@ -28,17 +28,17 @@ from . import steps
 from .equilibria import equilibria
 
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
-_CHOSEN = 1.7  # what the default time constant keeps to, below the limit: a model is not the actuator
+_CHOSEN = 1.7  # bound for the default time constant, below the limit, because a model is not the actuator
 _FINER, _LONGEST = 1.05, 1e3  # ratio of two time constants of a search; its end, over 2 / (zeta w_0)
 _ALONE = "; --time-constant inf exports the feedforward without a controller"
 
 
 @dataclass(frozen=True)
 class PIGains:
-    """A PI controller on the force, and how robust its loop is.
+    """The gains of a PI controller on the force, with the robustness of its loop.
 
     Attributes:
-        p: V^2 / m (V / m where the input is linear), in the model's direction.
+        p: V^2 / m (V / m for a linear input), in the model's direction.
         i: V^2 / (m s).
         time_constant: of the closed loop, s; also that of the back-calculation.
         gain_margin: by how much the plant's gain may grow.
@@ -93,7 +93,7 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
 
 
 def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
-    """Build fn(time constant): the gains and their margins, whatever they are.
+    """Return fn(time constant), which gives the gains and their margins without a check.
 
     Raises:
         BadInput: no margin can be computed.
@@ -112,17 +112,17 @@ def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
 
 
 def _slowest(a: np.ndarray) -> float:
-    """Compute 2 / (zeta w_0) of the slowest resonance, s; of the slowest pole where there is none."""
+    """Compute 2 / (zeta w_0) of the slowest resonance, s; of the slowest pole if there is none."""
     poles = np.roots(a[::-1])
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
     return float(2 / np.abs((pairs if len(pairs) else poles).real).min())
 
 
 def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
-    """Find the shortest time constant, down from `first` or up from it, that keeps to a sensitivity.
+    """Find the shortest time constant, down from `first` or up from it, within a maximum sensitivity.
 
     Raises:
-        BadInput: none does.
+        BadInput: none exists.
     """
     gains = tuned(first)
     while gains.max_sensitivity > sensitivity:
@@ -141,7 +141,7 @@ def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
 
 
 def _rounded_up(seconds: float) -> float:
-    """Round up to two digits: a proposed time constant has to be accepted."""
+    """Round up to two digits, so that a proposed time constant is accepted."""
     unit = 10 ** (np.floor(np.log10(seconds)) - 1)
     return float(f"{np.ceil(seconds / unit * (1 - 1e-9)) * unit:.2g}")
 
@@ -153,13 +153,13 @@ def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]
         BadInput: no equilibrium exists, or the model has no derivatives at one.
     """
     late = total_delay(model.effects)
-    # a machine that dry friction holds still has no response: the loop is tuned for the sliding machine
+    # A machine held by dry friction does not respond, so the loop is tuned for the sliding machine.
     model = replace(model, effects=tuple(e for e in model.effects if not (e.delays or e.spec.resolved)))
     forward = steps.predict(model, dt, held=True)
     square, way = model.input_map.one_sided, float(sign(model))
     points, stiffness = [], []
     for point in equilibria(model):
-        # past a snap no voltage holds it still: the loop is not tuned about it
+        # after a snap no voltage holds it still: the loop is not tuned about it
         if point.stiffness > 0:
             u = point.voltage
             state = forward.start(jnp.asarray(from_model(model, point.displacement)), jnp.asarray(u))

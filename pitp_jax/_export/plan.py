@@ -1,8 +1,8 @@
-"""Prepare what is exported: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
+"""Prepare an export: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
 
-Every language writes the same `Plan`. The test vector is the beginning of the longest record the model was identified
-on. Where the model has none, or its beginning covers less than a quarter of the stroke, it is a sum of sines over the
-range of voltage. It runs through three periods of the resonance at least, whatever the rate.
+Every language writes the same `Plan`. The test vector is the beginning of the longest identification record. If the
+model has none, or that beginning covers less than a quarter of the stroke, it is a sum of sines over the voltage range.
+It lasts at least three periods of the resonance at any rate.
 """
 
 import re
@@ -38,16 +38,16 @@ from .pi_gains import PIGains, pi_gains
 from .scalars import Program
 
 SAMPLES = 1000
-_PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: what a test vector runs through at least
+_PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: a test vector covers at least these
 _NONE = 1e30  # no limit, in float as in double
 _SMALLEST = 20e-6  # m: the smallest motion single precision has to follow, or a fiftieth of the stroke
 _SILENT = 0.02  # s without a target before the voltage ramps to 0 V
-_PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "single": 1e-3}  # test vector's bounds
+_PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "single": 1e-3}  # bounds of the test vector
 
 
 @dataclass(frozen=True)
 class Written:
-    """One step as a program, with what it starts from: fn(y0, u0) -> state."""
+    """One step as a program, and its initial state fn(y0, u0) -> state."""
 
     run: Program
     start: Program
@@ -56,16 +56,16 @@ class Written:
 
 @dataclass(frozen=True)
 class Plan:
-    """A model on its way out.
+    """A model to be exported, with the settings of the export.
 
     Attributes:
         model: in float64.
-        origin: its longest record is the test.
+        origin: its longest record is the test vector.
         dt: s between two steps.
         name: of files and functions, an identifier.
         single: float instead of double.
-        held: the voltage stands over a step (`steps.predict`).
-        time_constant: of the closed loop, s; None: what `pi_gains` takes; inf: no controller.
+        held: the voltage is held over a step (`steps.predict`).
+        time_constant: of the closed loop, s; None: the default of `pi_gains`; inf: no controller.
     """
 
     model: Model
@@ -78,36 +78,36 @@ class Plan:
 
     @property
     def units(self) -> Units:
-        """The units of everything that is written: V and m, or those of the model's records."""
+        """Return the units of the export: V and m, or those of the model's records."""
         return units_of(Fitted(self.model, self.origin))
 
     def predict_step(self, *, held: bool = False) -> steps.Step:
-        """Build the decoder's step in the units that are written."""
+        """Build the decoder's step in the exported units."""
         return steps.in_units(steps.predict(self.model, self.dt, held=held), self.units, inverse=False)
 
     @property
     def inverse_step(self) -> steps.Step:
-        """The step of eq. 13 in the units that are written."""
+        """Build the step of eq. 13 in the exported units."""
         return steps.in_units(steps.inverse(self.model, self.dt), self.units, inverse=True)
 
     @cached_property
     def predict(self) -> Written:
-        """The decoder's step as a program."""
+        """Return the decoder's step as a program."""
         return _written(self.predict_step(held=self.held))
 
     @cached_property
     def inverse(self) -> Written:
-        """The step of eq. 13; out: the voltage and whether none makes it."""
+        """Return the step of eq. 13 as a program; outputs: the voltage, and whether it is infeasible."""
         return _written(self.inverse_step)
 
     @property
     def late(self) -> float:
-        """What the drive's delays take, s."""
+        """Return the total delay of the input, s."""
         return total_delay(self.model.effects)
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Lowest and highest input and its slew, of the records the model was trained on, in the units written."""
+        """Return lowest and highest input and its slew over the training records, in the exported units."""
         low, high = map(self.units.input.shown, self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
@@ -116,7 +116,7 @@ class Plan:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """The range the model was trained in, a twentieth wider, in the unit written; without one, no limit."""
+        """Return the trained range of displacement, a twentieth wider, in the exported unit; without one, no limit."""
         if not len(self.model.domain.region):
             return -_NONE, _NONE
         low, high = self.model.domain.region[0]
@@ -127,17 +127,17 @@ class Plan:
 
     @property
     def stroke(self) -> float:
-        """The largest displacement of the training, in the unit written."""
+        """Return the largest displacement of the training, in the exported unit."""
         return float(self.units.si.shown(stroke(self.model)))
 
     @property
     def silent(self) -> int:
-        """Calls without a target before the ramp."""
+        """Return the number of calls without a target before the ramp."""
         return max(int(np.ceil(_SILENT / self.dt)), 1)
 
     @cached_property
     def differentiator(self) -> Differentiator:
-        """Weights by which a target is differentiated.
+        """Return the weights by which a target is differentiated.
 
         Raises:
             BadInput: single precision is too coarse for it.
@@ -159,16 +159,16 @@ class Plan:
 
     @cached_property
     def gains(self) -> PIGains:
-        """Gains of the PI steps."""
+        """Return the gains of the PI steps."""
         return pi_gains(self.model, self.dt, self.time_constant)
 
     @property
     def reference_time(self) -> float:
-        """Time constant T of the lags through which a target without derivatives is followed, s."""
+        """Return the time constant T of the lags that follow a target without derivatives, s."""
         return max(1 / self.model.natural_frequency, self.dt)
 
     def reference(self) -> np.ndarray:
-        """Compute the change of [r, T r', ..., T^n r^(n)] over a call, for [target - r, T r', ...] at its beginning.
+        """Return the change of [r, T r', ..., T^n r^(n)] over a call, for [target - r, T r', ...] at its start.
 
         r = target / (1 + s T)^(n + 1)
         """
@@ -182,13 +182,13 @@ class Plan:
 
     @cached_property
     def test(self) -> "Vector":
-        """The test vector of every language."""
+        """Return the test vector of every language."""
         return _vector(self)
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A run both ways, in the units written: input, displacement, motion [y, ..., y^(n)] and its input within limits.
+    """A run in both directions, in exported units: input, displacement, motion [y, ..., y^(n)], input within limits.
 
     `every`: steps from one number of a file to the next; voltage and motion are linear in between.
     """
@@ -204,10 +204,10 @@ class Vector:
 def plan(
     model: object, name: str, rate: float | None, precision: str, time_constant: float | None = None, *, held=False
 ) -> Plan:
-    """Make a plan, or say what is wrong with the request.
+    """Return a plan, or refuse the request with the reason.
 
     Raises:
-        BadInput: no single model, a name that is no identifier, a rate or a precision that is none.
+        BadInput: no single model, a name that is not an identifier, or an invalid rate or precision.
     """
     if not isinstance(model, Model | Fitted):
         raise BadInput(f"{type(model).__name__}: only a single model can be exported; choose one of its members")
@@ -244,7 +244,7 @@ def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> 
 
 
 def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
-    """Keep the voltage within range and slew, as the templates do."""
+    """Limit the voltage to range and slew, as the templates do."""
     (low, high, slew), last = plan.voltages, 0.0
     kept = np.clip(wanted, low, high)
     for k, u in enumerate(kept):
@@ -253,7 +253,7 @@ def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
 
 
 def _vector(plan: Plan) -> Vector:
-    # at a high rate the numbers of a file are some samples apart: the actuator has to move within them
+    # at a high rate the numbers of a file are several samples apart, so that the actuator moves within them
     periods = _PERIODS * 2 * np.pi / plan.model.natural_frequency
     every = max(int(np.ceil(periods / (SAMPLES * plan.dt))), 1)
     low, high, _ = plan.voltages
@@ -277,10 +277,10 @@ def _vector(plan: Plan) -> Vector:
 
 
 def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the input of every step between these, and the displacement that the model gives."""
+    """Interpolate a coarse input to every step, and return it with the model's displacement."""
     low, high, _ = plan.voltages
     u = np.clip(coarse, low, high)
-    if plan.single:  # the controller reads the vector in float: the reference must begin with the same numbers
+    if plan.single:  # the controller reads the vector in float, so the reference must start with the same numbers
         u = u.astype(np.float32).astype(np.float64)
     u = _between(u, every)
     return u, played(plan.predict_step(), u, 0.0)[0]
@@ -296,15 +296,15 @@ def _between(coarse: np.ndarray, every: int) -> np.ndarray:
 
 
 def half_step(plan: Plan) -> float:
-    """Compute the largest difference that half a step makes over the test vector, over the stroke."""
+    """Return the largest change of the displacement in half a step of the test vector, over the stroke."""
     y = plan.test.displacement
     return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), plan.stroke)
 
 
 def rate_error(plan: Plan) -> float | None:
-    """Measure what another rate than the model's costs: e_rms (%) over the model's own test voltage; None at its own.
+    """Return the error of another rate than the model's, e_rms (%) over its own test voltage; None at its own.
 
-    One voltage, whatever the rate, so that the figures of several rates compare.
+    The voltage is the same for every rate, so the figures of several rates can be compared.
     """
     own = plan.model.dt
     if abs(plan.dt / own - 1) < 1e-9:

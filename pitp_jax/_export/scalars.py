@@ -1,9 +1,9 @@
-"""Hold scalar expressions: what an array program becomes when every element of every array has a name of its own.
+"""Scalar expressions: every element of every array of a program as a number or a node.
 
-    a Python number                 known when the program is written: folded
+    a Python number                 known when the program is written: folded in
     Node(op, args)                  known when it runs; equal expressions are one node
 
-Arrays are NumPy arrays of these, so that slices, stacks and gathers cost nothing in the program that is written.
+Arrays are NumPy arrays of these, so slices, stacks and gathers cost nothing in the written program.
 """
 
 import math
@@ -58,7 +58,7 @@ class Node:
     Attributes:
         op: its name in `FOLDED`, or "input", "select", "matrix", "loop", "item".
         args: nodes and numbers; of an "item" the block and a place in it.
-        place: in the order of making, which is an order to write them in.
+        place: in the order of creation, in which they can be written.
         truth: whether it is true or false rather than a number.
         block: of a "matrix" its weights, of a "loop" its `Loop`.
     """
@@ -72,7 +72,7 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A body that runs `count` times on (known, carry, one row after the other), its carry written back."""
+    """A body that runs `count` times on (known, carry, one row at a time) and writes its carry back."""
 
     body: "Program"
     count: int
@@ -82,14 +82,14 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A function of scalars: inputs, then every node, and what comes out."""
+    """A function of scalars: its inputs and its outputs, which are nodes or numbers."""
 
     inputs: int
     outputs: tuple
 
     def nodes(self) -> list[Node]:
-        """List what the outputs need, in an order to write it in."""
-        # from the outputs backwards: what nothing uses is never written
+        """Return the nodes that the outputs need, in an order in which they can be written."""
+        # from the outputs backwards, so that unused nodes are never written
         needed, open_ = {}, [o for o in self.outputs if isinstance(o, Node)]
         while open_:
             node = open_.pop()
@@ -99,7 +99,7 @@ class Program:
         return sorted(needed.values(), key=lambda n: n.place)  # a node is made after its arguments
 
     def operations(self) -> int:
-        """Count the operations of a run, those of loops as often as they turn."""
+        """Return the number of operations of a run, including all turns of loops."""
         count = 0
         for node in self.nodes():
             if isinstance(node.block, Loop):
@@ -111,21 +111,21 @@ class Program:
         return count
 
     def constants(self) -> int:
-        """Count the numbers its tables hold."""
+        """Return the number of constants in its tables."""
         blocks = [node.block for node in self.nodes() if node.block is not None]
         return sum(b.body.constants() if isinstance(b, Loop) else np.asarray(b).size for b in blocks)
 
 
 @dataclass
 class Builder:
-    """Makes nodes; equal ones once."""
+    """A factory of nodes that makes equal ones once."""
 
     known: dict = field(default_factory=dict)
     count: int = 0
 
     def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
-        """Return the node of this operation, new or as made before."""
-        # by type too: 1, 1.0 and True are equal to Python, and three things in C
+        """Return the node of this operation, new or existing."""
+        # by type too: 1, 1.0 and True are equal in Python, and different in C
         key = (op, tuple(id(a) if isinstance(a, Node) else (type(a), a) for a in args), id(block))
         if key not in self.known:
             self.known[key] = Node(op, args, self.count, truth, block)
@@ -133,11 +133,11 @@ class Builder:
         return self.known[key]
 
     def inputs(self, count: int) -> list[Node]:
-        """Make the places in the input array."""
+        """Return the nodes of the input array."""
         return [self.node("input", (k,)) for k in range(count)]
 
     def make(self, op: str, *args):
-        """Make an operation: folded where its arguments are known, simplified where one is 0 or 1."""
+        """Return an operation: folded if its arguments are known, simplified if one is 0 or 1."""
         if not any(isinstance(a, Node) for a in args):
             return FOLDED[op](*args)
         simple = _simpler(op, args)
@@ -146,7 +146,7 @@ class Builder:
         return self.node(op, args, truth=op in TRUTHS)
 
     def select(self, which, no, yes):
-        """Choose `yes` where it is true, else `no`."""
+        """Return `yes` where it is true, otherwise `no`."""
         if not isinstance(which, Node):
             return yes if which else no
         if no is yes or (not isinstance(no, Node) and not isinstance(yes, Node) and no == yes):
@@ -155,14 +155,14 @@ class Builder:
         return self.node("select", (which, no, yes), truth=truth)
 
     def total(self, terms: Sequence):
-        """Add the terms up, in order."""
+        """Return the sum of the terms, in order."""
         result = 0.0
         for term in terms:
             result = self.make("add", result, term)
         return result
 
     def block(self, node: Node, count: int) -> list[Node]:
-        """Make what a "matrix" or a "loop" gives, one by one."""
+        """Return the results of a "matrix" or a "loop", one by one."""
         return [self.node("item", (node, k)) for k in range(count)]
 
 
@@ -174,12 +174,12 @@ def _is(value, number: float) -> bool:
 
 
 def _simpler(op: str, args: tuple):
-    """Simplify an operation in which a neutral or an absorbing number stands; None where none does.
+    """Return an operation simplified by a neutral or absorbing number; None if it has none.
 
-    0 times a node is 0: what is not finite never gets this far (`steps` guards its inputs).
+    0 times a node is 0, because `steps` rejects inputs that are not finite.
     """
     first, last = args[0], args[-1]
-    if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step go away
+    if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step disappear
         if _is(first, 0) or _is(last, 0):
             return 0.0
         return last if _is(first, 1) else first if _is(last, 1) else None

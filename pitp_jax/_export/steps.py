@@ -1,4 +1,4 @@
-"""Define the steps that are written out: one sample of the decoder and one of eq. 13, with effects.
+"""Define the exported steps: one sample of the decoder and one of eq. 13, with effects.
 
 Displacements y are in the one coordinate (`_model.coordinate`): 0 at 0 V.
 
@@ -6,10 +6,10 @@ Displacements y are in the one coordinate (`_model.coordinate`): 0 at 0 V.
     inverse   (m, z, x_{-1}, V_{-1}, V_{-2}), [y, y', ..., y^(n)]
               ->  u = drive^-1(map^-1(F)),  F = sigma_off + sum_i sigma_i x^(i) + effects
 
-Closed inverses look both ways along a series; here they run along the parabola through the last three values, whose
-slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). An effect with a memory and no closed inverse is solved sample by sample,
-its own last three values are the parabola of those before it. What a delay or a step later than the drive needs is
-asked for ahead.
+Closed inverses use samples on both sides along a series. Here they use the parabola through the last three values,
+whose slope is (3 V - 4 V_{-1} + V_{-2}) / (2 dt). An effect with a memory and no closed inverse is solved sample by
+sample; its own last three values give the parabola for the effects before it. Values that a delay or a step needs later
+than the input are requested ahead.
 """
 
 from collections.abc import Callable
@@ -33,19 +33,19 @@ from .._simulate.decoder import stage_fractions, step, still_state
 from .._simulate.prediction import at_rate
 from .._table.quantity import Units
 
-_HUGE = 1e3  # of the training force: what stands for a force no field makes, as in `_invert.equation`
-_BESIDE = 8  # samples of the parabola on either side: four slopes, each of which looks two samples away
+_HUGE = 1e3  # of the training force: replaces an infeasible force, as in `_invert.equation`
+_BESIDE = 8  # samples of the parabola on either side: four slopes, each of which uses two samples on either side
 _ROUNDING = 1e-6  # of the model's unit of force
 
 
 @dataclass(frozen=True)
 class Step:
-    """A pure step and what it starts from.
+    """A pure step with its initial state.
 
     Attributes:
-        start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) for ever.
+        start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) indefinitely.
         run: fn(carry, input) -> (carry, outputs).
-        inputs: how many numbers it takes per sample.
+        inputs: number of inputs per sample.
         late: samples by which its output is behind its input.
     """
 
@@ -56,9 +56,9 @@ class Step:
 
 
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
-    """Build the step from a drive voltage (V) to the displacement (m from 0 V) at its sample.
+    """Build the step from a voltage (V) to the displacement (m from 0 V) at its sample.
 
-    `held`: the voltage stands from this call to the next, and the displacement is that of the next.
+    `held`: the voltage is held from this call to the next, and the displacement is that of the next.
     """
     model = at_rate(model, dt)
     scale = model.scales.state[0]
@@ -91,7 +91,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
 
 
 def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
-    """Convert what enters and leaves a step from base units to those of exported code."""
+    """Convert inputs and outputs of a step from base units to those of exported code."""
     drive, motion = units.input.factor, units.si.factor
     if drive == motion == 1:
         return step
@@ -105,12 +105,12 @@ def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
 
 
 def samples_of(effect: Effect, dt: float) -> int:
-    """Count the voltages a delay keeps."""
+    """Return how many voltages a delay stores."""
     return int(np.floor(float(effect.time) / dt)) + 2
 
 
 def inverse(model: Model, dt: float) -> Step:
-    """Build the step from [y, ..., y^(n)] (m / s^i, from 0 V) to the drive voltage (V) and whether none makes it."""
+    """Build the step from [y, ..., y^(n)] (m / s^i, from 0 V) to the voltage (V) and whether it is infeasible."""
     n, scales = model.order, jnp.asarray(model.scales.state)
     senses = bool(ports.sensors(model))
 
@@ -137,7 +137,7 @@ def inverse(model: Model, dt: float) -> Step:
         states = where(begun > 0, after, states)
         seen = jnp.concatenate([x[:-1], memory])
         force = ports.needed(model, ports.split(model, states), x, seen)
-        force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end
+        force = jnp.where(jnp.isnan(force), jnp.inf, force)  # a force beyond saturation is infinite
         film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)
         films = jnp.append(films[1:], film)
         drive, levels, passes = _undone(model, films, levels, begun > 0, dt)
@@ -148,7 +148,7 @@ def inverse(model: Model, dt: float) -> Step:
 
 
 def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
-    """Carry the last three samples on: k = -8 ... 8 of v + k (v' dt) + k^2 / 2 (v'' dt^2)."""
+    """Extrapolate the last three samples: k = -8 ... 8 of v + k (v' dt) + k^2 / 2 (v'' dt^2)."""
     k = np.arange(-_BESIDE, _BESIDE + 1.0)[:, None]
     # Lagrange's polynomials through k = -2, -1, 0
     through = np.concatenate([k * (k + 1) / 2, -k * (k + 2), (k + 1) * (k + 2) / 2], 1)
@@ -156,9 +156,9 @@ def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
 
 
 def _undone(model: Model, films, levels, begun, dt: float):
-    """Compute the drive behind the film, what the drive effects' inverses carry on, and whether the drive lets it pass.
+    """Compute the voltage for the film, the states of the effects' inverses, and whether the voltage is feasible.
 
-    `levels`: per effect its states and the last three values of what entered it.
+    `levels`: per effect its states and the last three values of its input.
     """
     window, passes, carried = _parabola(films), jnp.ones((), bool), []
     for effect, (states, entered) in zip(reversed(ports.drives(model)), reversed(levels), strict=True):
@@ -167,7 +167,7 @@ def _undone(model: Model, films, levels, begun, dt: float):
             window = effect.undo(window, dt)
         else:
             after, w = effect.undo_sample(states, entered[-1], window[_BESIDE], dt)
-            # the first call finds it as it was started
+            # the first call uses the initial state
             states, w = jnp.where(begun, after, states), jnp.where(begun, w, entered[-1])
             entered = jnp.append(entered[1:], w)
             window = _parabola(entered)
@@ -176,7 +176,7 @@ def _undone(model: Model, films, levels, begun, dt: float):
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:
-    """Compute [x, ..., x^(n)] behind a reading and its derivatives (scaled), by the chain rule along its own motion.
+    """Compute [x, ..., x^(n)] from a reading and its derivatives (scaled), by the chain rule along its motion.
 
     x(s) = undo(y(. + s)) at the sample, y_k(s) = sum_i y_k^(i) s^i / i!:   x^(i) = d^i x / ds^i at s = 0
     """
@@ -188,7 +188,7 @@ def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Fl
         y = sum(window[:, i] * s**i / factorial[i] for i in range(model.order + 1))
         moves = y / scales[0]
         for effect in reversed(ports.sensors(model)):
-            # a memory without a closed inverse would have to be solved from the target's beginning: no window has it
+            # a memory without a closed inverse must be solved from the target's start, which no window contains
             if effect.spec.inverse or not effect.states:
                 moves = effect.undo(moves, dt)
         return moves[_BESIDE] * scales[0]

@@ -1,8 +1,8 @@
 """Write a scalar program as text: one line a value, in C99 or in MATLAB.
 
-    v12 = v7 * v9;      a value used once stands where it is used, as long as the line stays short
+    v12 = v7 * v9;      a value used once is written where it is used if the line stays short
 
-C has helpers only where they are used; a table or a loop has a function or an array of its own.
+C code contains only the helpers that it uses; a table or a loop has its own array or function.
 """
 
 import re
@@ -12,7 +12,7 @@ import numpy as np
 
 from .scalars import Loop, Node, Program
 
-_SHORT = 70  # characters of an expression that still stands within another
+_SHORT = 70  # characters of an expression that may stand within another
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==",
     "ne": "!=", "and": "&&", "or": "||", "xor": "!=",
@@ -24,17 +24,17 @@ _HELPERS = {
 }
 _NAMES = {"max": "larger", "min": "smaller", "sign": "sign_of", "abs": "fabs", "rem": "fmod"}
 _MATLAB = {"sign_of": "sign", "larger": "max", "smaller": "min", "fabs": "abs", "fmod": "rem"}
-_OWN = (*_HELPERS, "isfinite")  # no functions of libm: they have no name for float
+_OWN = (*_HELPERS, "isfinite")  # not functions of libm, which have no float variants
 
 
 @dataclass
 class Writer:
-    """Writes programs and keeps what they need beside them.
+    """A writer of programs that collects the tables and loop bodies they need.
 
     Attributes:
         language: "c" or "matlab".
         single: numbers and functions of C are float.
-        beside: tables and loop bodies, in the order they are needed.
+        beside: tables and loop bodies, in the required order.
     """
 
     language: str
@@ -42,7 +42,7 @@ class Writer:
     beside: list[str] = field(default_factory=list)
 
     def number(self, value) -> str:
-        """Write a literal that reads back as the same number."""
+        """Return a literal that reads back as the same number."""
         if isinstance(value, (bool, np.bool_)):
             return "true" if value else "false"
         value = float(value)
@@ -56,10 +56,10 @@ class Writer:
             text = repr(value)
         text = text if any(c in text for c in ".e") else text + ".0"  # 1 / 2 of two integers is 0 in C
         text += "f" if self.single else ""
-        return f"({text})" if value < 0 else text  # behind a minus sign it would read as a decrement
+        return f"({text})" if value < 0 else text  # after a minus sign it would read as a decrement
 
     def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
-        """Write lines that compute a program from named inputs and end with its assignments."""
+        """Return lines that compute a program from named inputs and end with its assignments."""
         nodes, uses = program.nodes(), {}
         for user in (*(n.args for n in nodes), program.outputs):
             for a in user:
@@ -90,19 +90,19 @@ class Writer:
         return lines
 
     def function(self, name: str, program: Program, state: int, outputs: int) -> str:
-        """Write C: static void name(const real s[], const real in[], real next[], real out[])."""
+        """Return C code: static void name(const real s[], const real in[], real next[], real out[])."""
         inputs = [f"s[{k}]" for k in range(state)] + [f"in[{k}]" for k in range(program.inputs - state)]
         to = [f"next[{k}]" for k in range(len(program.outputs) - outputs)] + [f"out[{k}]" for k in range(outputs)]
         lines = self.body(program, inputs, to)
         used = " ".join(lines)
         for missing in ("s", "in", "out"):
-            if not re.search(rf"\b{missing}\[", used):  # compilers warn of an argument that is not used
+            if not re.search(rf"\b{missing}\[", used):  # compilers warn of unused arguments
                 lines.insert(0, f"(void){missing};")
         head = f"static void {name}(const real s[], const real in[], real next[], real out[])"
         return f"{head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
     def helpers(self, text: str) -> str:
-        """List the helpers that a text of C uses."""
+        """Return the helpers that a C text uses."""
         return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
 
     def _operation(self, op: str, args: list[str]) -> str:
@@ -164,7 +164,7 @@ class Writer:
     def _loop(self, loop: Loop, name: str, args: list[str]) -> list[str]:
         carry, rows = loop.carry, loop.body.inputs - loop.known - loop.carry
         body = f"loop_{len(self.beside)}"
-        self.beside.append("")  # its place, before the body asks for tables of its own
+        self.beside.append("")  # reserves its place before the body asks for its own tables
         place = len(self.beside) - 1
         sizes = (("known", loop.known), ("s", carry), ("row", rows))
         inputs = [self._place(n, k) for n, size in sizes for k in range(size)]
@@ -194,7 +194,7 @@ class Writer:
 
 
 def _closes(text: str) -> bool:
-    """Tell whether its first parenthesis closes with its last character."""
+    """Return whether the first parenthesis closes with the last character."""
     depth = 0
     for k, c in enumerate(text):
         depth += (c == "(") - (c == ")")

@@ -1,11 +1,11 @@
-"""How every record begins, and the zero and the direction of its sensor, by likelihood on the whole record.
+"""Initial state, sensor offset and sensor direction of every record, by maximum likelihood over the whole record.
 
     y = d (g x(t) + free(t)) + z,    free: 0 at rest | F(0) unit step's release when held | any x(0), x'(0) in motion
 
-Poles and gain come first from a fit that knows nothing: every record with a zero, a direction and an initial state of
-its own, all of which enter linearly. Then each record takes the simplest beginning by the criterion of
-`_numerics.coloured_noise`. A record at rest has its zero from its first samples, which hold no error of the model;
-others share one, or have one of their own, by the same criterion.
+Poles and gain come first from a fit without any assumption: every record has its own offset, direction and initial
+state, which all enter linearly. Then the criterion of `_numerics.coloured_noise` selects the simplest initial state of
+each record. A record at rest takes its offset from its first samples, which contain no model error. Other records share
+an offset or have their own, by the same criterion.
 """
 
 from collections.abc import Sequence
@@ -38,21 +38,21 @@ from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
 from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
 from .starts import cost_of, guesses
 
-_PER_PERIOD = 10  # samples of a period, of the band or of the resonance, that tell beginnings apart
-_MOST = 100_000  # samples from which the poles are found
-_STARTS = 3  # of the guesses, each with the directions that it tells, that are followed
+_PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
+_MOST = 100_000  # samples used to find the poles
+_STARTS = 3  # initial guesses, each with the sensor directions it implies, that are fitted
 _STRUCTURE, _ROUNDS = Structure(2), 4
-_DIFFER = 0.1  # of the largest force: between first drives whose settled levels differ
-_JUMP = 0.05  # of the drive's range, between two samples
-_CLEAN = 1.2  # times the noise that a model without an error leaves at most
-_FINEST = 1e-5  # of the output's deviation: no record resolves less, whatever rounding leaves of one without noise
+_DIFFER = 0.1  # fraction of the largest force by which first voltages must differ for settled levels to differ
+_JUMP = 0.05  # fraction of the voltage range, between two samples
+_CLEAN = 1.2  # times the noise: largest residual of a model without error
+_FINEST = 1e-5  # fraction of the output's deviation: no record resolves less, even one without noise
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
 def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
-    """How every record begins, the roots of order 2 found on the way (rad/s), and the fraction of the output it leaves.
+    """Return each record's initial state, the poles of order 2 (rad/s) and the residual as a fraction of the output.
 
-    The roots are None and the fraction 1 where no such model could be fitted.
+    The roots are None and the fraction 1 if no such model could be fitted.
     """
     begun = [from_known(r) for r in records]
     chosen, small = _decimated(begun, input_map)
@@ -79,7 +79,7 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
 
 
 def _only_noise(cost: float, records: Sequence[Record]) -> bool:
-    """Whether a model of order 2 leaves no more than the sensor's noise: then it has no error that bends a zero."""
+    """Return whether the residual of order 2 is only sensor noise, so that no model error biases the offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
     return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
 
@@ -90,7 +90,7 @@ def _at_rest(record: Record) -> Beginning:
 
 @dataclass(frozen=True)
 class _Columns:
-    """One record, whitened in blocks: output, response from rest, what holding adds, free responses, a constant."""
+    """Block means of one record, whitened: output, response from rest, effect of holding, free responses, constant."""
 
     output: np.ndarray
     driven: np.ndarray
@@ -100,31 +100,31 @@ class _Columns:
     size: float  # standard deviation of the output
 
     def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
-        """What this explanation leaves, and its zero."""
+        """Return the residual of this hypothesis and its sensor offset."""
         base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
         columns = [self.one, self.free] if begins == "moving" else [self.one]
         factors, rest = project(base, np.column_stack(columns))
         return rest, float(factors[0])
 
     def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
-        """The zero fitted, its weight 1 / variance, and how many samples tell of it."""
+        """Return the fitted sensor offset, its weight 1 / variance, and the number of samples."""
         residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
     def moves(self) -> bool:
-        """Whether a first state explains half of what rest leaves: one cut at a turning point has no speed either."""
+        """Return whether a free initial state explains at least half of the residual that a start at rest leaves."""
         rest, moving = (min(np.linalg.norm(self.residual(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
         return bool(moving < 0.5 * rest)
 
     def score(self, begins: Begins, direction: float) -> float:
-        """How badly this explains the record, with its numbers paid for (BIC)."""
+        """Return the information criterion (BIC) of this initial state; lower is better."""
         extra = self.free.shape[1] if begins == "moving" else 0
         return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
-    """Some records in means over blocks of a tenth of the band's period, and which they are."""
+    """Return the indices of some records, and these records averaged over blocks of a tenth of the band's period."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, shortest = records[0].dt, min(r.samples for r in records)
     size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
@@ -133,11 +133,11 @@ def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], li
 
 
 def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """What `_fitted` returns, nothing known of how records begin."""
+    """Return the cost and model of order 2 that `_fitted` finds when no initial state is known."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
     by_response = _from_response(problem)
-    # the response alone led an order three behind a delay to a wrong place, and its records were called at rest
+    # The response alone once gave wrong poles (order 3 with a delay), and moving records were then taken as at rest.
     starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
     starts += [] if by_response is None else [by_response]
     scored = []
@@ -153,9 +153,9 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
 
 
 def _from_response(problem: Problem) -> np.ndarray | None:
-    """Where the frequency response of the record leads whose lines tell most; None where no record has enough.
+    """Return the start from the record with the most coherent frequency response, or None if none has enough lines.
 
-    One record's, since the directions of the others are not known yet.
+    Only one record is used because the sensor directions of the others are not known yet.
     """
     each = [frequency_response(alone(problem, k)) for k in range(len(problem.drive))]
     best = max(each, key=lambda response: int(response.coherent.sum()))
@@ -163,14 +163,14 @@ def _from_response(problem: Problem) -> np.ndarray | None:
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """Least output error from here: its cost, logarithms (rad/s) and gain (m per V^2 or V)."""
+    """Fit the output error from `start`; return the cost, the logarithms (rad/s) and the gain (m per V^2 or V)."""
     logs, cost, _ = least_squares(start, _STRUCTURE, problem)
     gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
     return (cost, (logs, gain)) if np.isfinite(cost) else None
 
 
 def _directed(logs: np.ndarray, problem: Problem) -> Problem:
-    """The problem in directions from each record's own gain, relative to most."""
+    """Return the problem with each sensor direction set by the sign of the record's gain, relative to the majority."""
     gains: list[float] = []
     if len(problem.drive) == 1:
         return problem
@@ -189,7 +189,7 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
 
 
 def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
-    """Whitened by the spectrum of what the richest explanation leaves, in blocks of a tenth of the resonance."""
+    """Return block means whitened with the residual spectrum of the richest hypothesis."""
     square, dt = input_map == "square", record.dt
     unit, settled = (
         respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
@@ -209,26 +209,26 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
 
 
 def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple[Begins, float]:
-    """The simplest beginning and the direction, zero fitted; "moving" where the first samples are missing.
+    """Return the simplest initial state and the direction; "moving" if the first samples are missing.
 
-    A flat reading under a flat drive is rest or held by the data, whatever the model leaves of the motion after it.
+    A constant reading under a constant voltage means at rest or held, whatever residual the later motion leaves.
     """
     kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
     (standing, level), omega = standing_drive(record), _omega(logs)
-    passing = whole and standing * record.dt * omega < np.pi / 2  # the drive does not stand where the record begins
+    passing = whole and standing * record.dt * omega < np.pi / 2  # the voltage changes soon after the start
     if whole and settled_samples(record, omega):
         kinds = ("held",) if level else ("rest",)
     elif passing and level and _smooth(record.voltage) and not is_still(record, omega):
-        kinds = ("moving",)  # at rest under a drive or settled at it, only a jump gives a speed at once
+        kinds = ("moving",)  # only a jump of the voltage starts a motion from rest with a velocity
     elif passing and not level and is_still(record, omega) and not row.moves():
-        kinds = ("rest",)  # of motions cut anywhere hardly one has no speed just where its drive passes 0 V
+        kinds = ("rest",)  # records cut from a longer motion rarely have zero velocity just where the voltage is 0 V
     elif not level:
-        kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is rest
+        kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is the same as at rest
     return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
 
 
 def _smooth(drive: np.ndarray) -> bool:
-    """Whether the drive does not jump in the first samples, from which a first velocity is known."""
+    """Return whether the voltage has no jump in the first samples, which determine the initial velocity."""
     return bool(np.abs(np.diff(drive[:INITIAL_SAMPLES])).max() < _JUMP * np.ptp(drive))
 
 
@@ -239,10 +239,10 @@ def _settled_together(
     known: Sequence[bool],
     logs: np.ndarray,
 ) -> list[tuple[Begins, float]]:
-    """The kinds, with no record in motion that only the model's misfit sets in motion.
+    """Return the initial states, without a moving one that only model error suggests.
 
-    Records that stand still at one level, of which one is at rest or whose first drives differ, did not all turn there
-    by chance: each is at rest or held, whatever the model leaves of the motion after it.
+    Records that stand still at one level, one of them at rest or with different first voltages, cannot all have
+    reversed there by chance. Each of them is therefore at rest or held, whatever residual the later motion leaves.
     """
     decided, omega = list(kinds), _omega(logs)
     still = [
@@ -261,14 +261,14 @@ def _settled_together(
 
 
 def _omega(logs: np.ndarray) -> float:
-    """Natural frequency of order 2, rad/s."""
+    """Return the natural frequency of order 2, rad/s."""
     return float(np.exp(logs[1] / 2))
 
 
 def _with_zeros(
     records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
 ) -> list[Beginning]:
-    """Zeros at rest from the first samples, pooled where they agree; of the others that one, one for all, or own."""
+    """Return initial states with offsets: from first samples for records at rest (pooled), fitted for the others."""
     decided: dict[int, Beginning] = {}
     resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
     groups = level_groups([records[k] for k in resting])
@@ -305,10 +305,9 @@ def _stderr(weight: float) -> float:
 
 
 def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
-    """The whole records tell a zero better than their first samples, and no error of the model bends it.
+    """Return whether whole records give the offset more precisely than the first samples, without bias by model error.
 
-    The fitted one has the smaller standard error, and both agree within five of theirs together (a level is bent by
-    what hides in its noise).
+    The fitted offset has the smaller standard error, and both agree within five combined standard errors.
     """
     weight = sum(w for _, w, _ in fitted)
     mean = sum(z * w for z, w, _ in fitted) / weight
@@ -316,5 +315,5 @@ def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: f
 
 
 def _agree(difference: float, weight: float, size: int) -> bool:
-    """A zero of its own is not worth its parameter: T log(1 + w dz^2 / T) <= log T."""
+    """Return whether a separate sensor offset is not worth a parameter: T log(1 + w dz^2 / T) <= log T."""
     return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))

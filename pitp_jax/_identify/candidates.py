@@ -1,13 +1,13 @@
-"""Fit every candidate (order, delay, hold) and choose: the fewest parameters whose held-out score is near the best.
+"""Fit every candidate (order, delay, hold) and choose the fewest parameters whose held-out score is near the best.
 
-    score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, nothing below 0.1 % of the output counting
-    fewest poles and delays;  of as many the lower order within 1 %, else the better score;  of those the better hold,
+    score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, or 0.1 % of the output
+    fewest poles and delays;  if equal, the lower order within 1 %, otherwise the better score;  then the better hold,
 foh where the difference is below two of its standard errors
 
-Every order stands under its own best hold (in sample: as many parameters), since half a sample of lag is a pole:
-compared under one hold, a plant of order 2 behind a held voltage becomes one of order 3. More than 3 % would take zoh
-for half a sample of delay (+6.5 %); no delay is kept that buys nothing held out (two servo joints: 7 to 14 % in sample,
--8 % on other records).
+Every order is compared under its own best hold (in sample: equally many parameters), because half a sample of lag acts
+like a pole: under one common hold, a plant of order 2 behind a held voltage becomes one of order 3. A tolerance above
+3 % would take zoh for half a sample of delay (+6.5 %). A delay is kept only if it improves the held-out score (two
+servo joints: 7 to 14 % in sample, -8 % on other records).
 """
 
 from collections.abc import Callable, Sequence
@@ -25,13 +25,13 @@ from .output_error import Problem, Structure, least_squares
 from .starts import best_starts, guesses, one_more
 
 NEAR, TIE = 1.03, 1.01
-_BLOCKS, _SURE = 9, 2.0  # blocks of a record that are left out, and standard errors of a difference that counts
-_ALWAYS = 3  # orders that are tried in any case; one more since a mode is two; then while the last wins
-_NO_WORSE = 1.001  # an order holds every lower one: a higher cost means that the search stopped short
-_HALF = 0.5  # of the output's deviation; of a cost, the mean square that is left
-_ALIKE = 1e-4  # of a cost: two fits that end so near ended in one place
-_STEPS, _LEAST_STEP = 40, 1e-5  # of a fit that is only to be compared; the chosen one goes on
-_DELAY = 0.05  # samples: a shorter delay is none; to start from, since none has no slope
+_BLOCKS, _SURE = 9, 2.0  # blocks of a record that are left out; standard errors of a difference that counts
+_ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
+_NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
+_HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
+_ALIKE = 1e-4  # fraction of a cost: two fits that differ by less found the same minimum
+_STEPS, _LEAST_STEP = 40, 1e-5  # limits of a fit that is only compared; the chosen one is continued
+_DELAY = 0.05  # samples: a shorter delay counts as none; a delay also starts here, because 0 has no slope
 
 Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 
@@ -46,7 +46,7 @@ def search(
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """All candidates that could be fitted, in ascending order; `pair`: poles of order 2 known beforehand (rad/s)."""
+    """Return all candidates that could be fitted, in ascending order; `pair`: known poles of order 2 (rad/s)."""
     by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
     roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
     candidates: list[Candidate] = []
@@ -56,11 +56,11 @@ def search(
         here: list[Candidate] = []
         for delayed in delays:
             if here and order > _ALWAYS and not here[0].known:
-                break  # what the records do not tell without a delay they do not tell with one more number
+                break  # if the poles are unknown without a delay, they are unknown with one
             ends: list[tuple[Structure, Ending]] = []
             for hold in holds:
                 if ends and delayed and problem.fine < problem.dt:
-                    break  # of means, holds differ by half a sample of the drive, which is a delay
+                    break  # of block means, holds differ by half a sample of delay
                 structure = Structure(order, hold, delayed)
                 if ends:
                     end = least_squares(_under(hold, ends[0], problem), structure, problem, _STEPS, _LEAST_STEP)
@@ -94,10 +94,10 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
 
 
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
-    """Whether the best order that is known is the last one; or the last but one, for one mode adds two.
+    """Return whether to try this order: the best known order is the last one, or the last but one at order 4.
 
-    Or no order explains half of the output yet, or the last one halved what was left in sample: of two modes, three
-    poles explain no block left out.
+    It also does if no order explains half of the output yet, or the last one halved the in-sample cost: three poles for
+    two modes explain no held-out block.
     """
     known = [c for c in earlier if c.known]
     costs = [min((c.cost for c in known if c.structure.order < n), default=np.inf) for n in (order - 1, order)]
@@ -109,7 +109,7 @@ def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
 
 
 def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:
-    """Where a fit under another hold starts: half a sample of the drive earlier or later, where that is a number."""
+    """Return a start from a fit under another hold, its delay moved by half a sample of the input."""
     structure, (params, _, _) = other
     if structure.delayed and hold != structure.hold:
         moved = (0.5 if structure.hold == "zoh" else -0.5) * problem.fine
@@ -118,13 +118,13 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
 
 
 def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
-    """Where the fit ends from where the frequency response leads; if that is worse than what it holds, from others."""
+    """Return the best fit from the frequency response, with further starts if that is worse than a simpler model."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if lower is None and order > 1 and len(problem.drive) > 1:
-        bound = -np.inf  # asked for alone: the lines of several sines together pass for a sweep's
+        bound = -np.inf  # asked for alone: the lines of several sines together look like a sweep
     start, short = known_starts.get((order, delayed)), np.log(_DELAY * problem.fine)
     if start is not None and delayed:
         start = np.append(start[:-1], max(start[-1], short))
@@ -142,7 +142,7 @@ def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier
 
 
 def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
-    """Whether no other start is needed: good enough, found from two of them, or a delay that vanishes."""
+    """Return whether no other start is needed: the fit is good enough, was found twice, or its delay vanishes."""
     params, least, _ = min(ends, key=lambda e: e[1])
     again = sum(e[1] <= (1 + _ALIKE) * least for e in ends) > 1
     none = structure.delayed and np.exp(params[-1]) <= _DELAY * problem.fine
@@ -160,7 +160,7 @@ def _with_pair(pair: np.ndarray | None, order: int) -> list[np.ndarray]:
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:
-    """The rule at the head of this file."""
+    """Return the candidate with the fewest parameters near the best score (rule at the head of this file)."""
     best = min(c.score for c in candidates)
     near = [c for c in candidates if c.score <= NEAR * best]
     fewest = min(c.structure.complexity for c in near)
@@ -168,13 +168,13 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     least = min(c.score for c in near)
     order = min(c.structure.order for c in near if c.score <= TIE * least)
     alike = sorted((c for c in near if c.structure.order == order), key=lambda c: c.score)
-    # a tie between holds would decide half a sample of every delay by chance
+    # Without this rule, chance would decide on half a sample of delay when two holds tie.
     linear = [c for c in alike if c.structure.hold == "foh"]
     return linear[0] if linear and _tied(alike[0], linear[0]) else alike[0]
 
 
 def _tied(better: Candidate, other: Candidate) -> bool:
-    """Tell whether two held-out errors differ by less than the uncertainty of the difference, over blocks."""
+    """Return whether two held-out errors differ by less than the uncertainty of their difference over blocks."""
     gained = []
     for one, two in zip(better.heldout.error, other.heldout.error, strict=True):
         edges = np.linspace(0, len(one), _BLOCKS + 1).astype(int)[:-1]

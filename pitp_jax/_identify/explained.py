@@ -1,7 +1,7 @@
-"""Judge whether a linear model explains the output at all, and name the likely reason where it does not.
+"""Judge whether a linear model explains the output at all, and report the likely reason if not.
 
 feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squares on the last samples of both
-folded:    1 - R^2 of |G u| and (G u)^2 beside y                       G: lags of order 1 and modes of a grid
+folded:    1 - R^2 of y against |G u| and (G u)^2                       G: lags of order 1 and modes of a grid
 """
 
 from collections.abc import Iterator, Sequence
@@ -13,15 +13,15 @@ from .heldout import Candidate
 from .linear_ode import respond
 from .output_error import Problem
 
-NOTHING, LITTLE = 0.9, 0.5  # of the output's rms held out: left by a model that explains nothing, or little
-_OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: left held out; and the noise above which it hardly moves
+NOTHING, LITTLE = 0.9, 0.5  # fraction of the output's rms, held out: residual of a model that explains nothing, little
+_OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: held-out residual; noise above which it hardly moves
 CHECK = "Check --input-column and --output-column, and whether another input moves the output"
 _LAGS, _FED_BACK, _PREDICTED = 8, 0.1, 1e-3  # samples; variances of an input that follows from the output
 _GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the modes behind a folded output
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
-    """Return whether anything is explained, and a sentence where it is little, or hardly more than noise."""
+    """Return whether the model explains anything, and a warning if it explains little or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
     left = f"{100 * chosen.heldout.score:.0f} % of the output's rms is left on held-out blocks"
     if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
@@ -57,7 +57,7 @@ def _reason(problem: Problem) -> str:
 
 
 def _fed_back(problem: Problem) -> bool:
-    """Return whether the output tells the input, where the earlier input does not."""
+    """Return whether the output predicts the input better than the earlier input does."""
     alone = beside = 0.0
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         y = np.where(weight > 0, output, output[weight > 0].mean())
@@ -77,7 +77,7 @@ def _fed_back(problem: Problem) -> bool:
 
 
 def _noise_part(problem: Problem) -> float:
-    """Return the sensors' noise over the rms of the outputs about their means, pooled over records."""
+    """Return the sensor noise as a fraction of the outputs' rms about their means, pooled over records."""
     noise = moved = 0.0
     for output, weight in zip(problem.output, problem.weight, strict=True):
         y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
@@ -86,7 +86,7 @@ def _noise_part(problem: Problem) -> float:
 
 
 def _folded_left(problem: Problem) -> float:
-    """Return what the best even reading of a linear motion leaves of the output, over its standard deviation."""
+    """Return the smallest residual of an even function of a linear motion, as a fraction of the output's deviation."""
     best = np.inf
     for poles in _poles(problem):
         missed = whole = 0.0

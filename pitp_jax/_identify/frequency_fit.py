@@ -3,8 +3,8 @@
     minimise  sum_k | g M(j w_k) - G_k |^2 / s_k^2 + 1e-8 |p - p_0|^2,    s_k: its standard error, at least 2 % of |G_k|
     M = e^{-s tau} sinc^2(w h / 2) prod_active e^q / (s^2 + e^p s + e^q) [e^r / (s + e^r)],    s = j w,  g: real
 
-All orders, with and without a delay, run through one program: what one does not have is masked. They start where
-the linear equation-error fit in frequency leads (iterated with its own denominator as weight).
+All orders, with and without a delay, use one program; a mask removes the poles that an order does not have. The starts
+come from the linear equation-error fit in frequency (iterated with its own denominator as weight).
 Source: Sanathanan & Koerner (1963); Pintelon & Schoukens (2012), 9.
 """
 
@@ -23,21 +23,21 @@ from .linear_ode import logs_from_roots
 
 ORDERS = tuple(range(1, 7))
 _PAIRS = 3
-_LEAST = 0.02  # of |G|: a response is not linear to more than that
+_LEAST = 0.02  # of |G|: no response is linear to better than this
 _LINES = 256
 _ROUNDS, _STEPS = 8, 60
-_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples, from which one is sought
+_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
 _RIDGE = 1e-4
 
 
 def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
-    """Parameters of every (order, delayed): logarithms of the pole coefficients (rad/s), then of the delay (s)."""
+    """Return parameters of every (order, delayed): logarithms of pole coefficients (rad/s), then of the delay (s)."""
     s, value, weight, held, unit = _Lines.of(response, dt)
     shapes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*shape, s, value / held, weight * held, unit * dt), _mask(*shape)) for shape in shapes]
-    pad = _LINES - len(s)  # to one shape, with weight 0: one program for every record
+    pad = _LINES - len(s)  # padded to one shape with weight 0, so that one program serves every record
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
         fixed = [jnp.asarray(a) for a in data]
@@ -51,14 +51,14 @@ def fit_response(
 
 
 def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
-    """Logarithms of the pole coefficients (rad/s) of the linear equation-error fit, which needs no start itself."""
+    """Return logarithms of the pole coefficients (rad/s) from the linear equation-error fit, which needs no start."""
     s, value, weight, held, unit = _Lines.of(response, dt)
     start = _start(order, False, s, value / held, weight * held, unit * dt)
     return _logs(start, order, unit)
 
 
 class _Lines(NamedTuple):
-    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, and what a held drive does to it."""
+    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of a held input."""
 
     s: np.ndarray
     value: np.ndarray
@@ -68,7 +68,7 @@ class _Lines(NamedTuple):
 
     @classmethod
     def of(cls, response: FrequencyResponse, dt: float) -> "_Lines":
-        """Those of a response sampled every `dt` seconds."""
+        """Return the coherent lines of a response sampled every `dt` seconds."""
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
@@ -78,13 +78,13 @@ class _Lines(NamedTuple):
 
 
 def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
-    """The logarithms that a lane has, in rad/s."""
+    """Return the logarithms of the pole coefficients of one fit, in rad/s."""
     logs = np.concatenate([row[: 2 * (order // 2)], row[2 * _PAIRS : 2 * _PAIRS + order % 2]])
     return logs + np.log(unit) * np.array([1.0, 2.0] * (order // 2) + [1.0] * (order % 2))
 
 
 def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:
-    """One lane. They run one after the other: side by side they take twice as long to compile."""
+    """Return the fitted parameters of one order. Fits run in sequence, because a batch compiles twice as long."""
     solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
     solution = optimistix.least_squares(
         _residual, solver, start, args=(start, mask, *data), max_steps=_STEPS, throw=False
@@ -98,7 +98,7 @@ def _mask(order: int, delayed: bool) -> np.ndarray:
 
 
 def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
-    """Poles of the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, for the best of a few delays."""
+    """Return the poles of the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, for the best of a few delays."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
     for late in _DELAYS if delayed else (0.0,):
         target = np.exp(-s * late * sample) / value
@@ -130,7 +130,7 @@ def _reflected(roots: np.ndarray) -> np.ndarray:
 
 
 def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
-    """Weighted misfit, real and imaginary parts; what a lane's mask leaves out stays where it starts."""
+    """Return the weighted misfit, real and imaginary parts; masked parameters keep their starting values."""
     start, mask, omega, real, imag, weight, held = given
     s, value = 1j * omega, real + 1j * imag
     p = where(mask > 0, p, start)
@@ -139,7 +139,7 @@ def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
     corner = jnp.exp(p[2 * _PAIRS])
     single = jnp.where(mask[2 * _PAIRS] > 0, corner / (s + corner), 1.0)
     own = weight * held * jnp.exp(-s * jnp.exp(p[-1]) * mask[-1]) * jnp.prod(pairs, 0) * single
-    # g is linear and real: projected out, so that a start needs none
+    # g is linear and real: it is projected out, so it needs no start
     gain = jnp.sum((own.conj() * weight * value).real) / jnp.maximum(jnp.sum(jnp.abs(own) ** 2), 1e-300)
     misfit = gain * own - weight * value
     return jnp.concatenate([misfit.real, misfit.imag, _RIDGE * (p - start)])

@@ -1,10 +1,10 @@
-"""The frequency response that records show without a model, with its standard error and coherence.
+"""The measured frequency response of the records, with its standard error and coherence.
 
     Y(k + r) = (G + g_1 r + g_2 r^2) U(k + r) + t_0 + t_1 r + t_2 r^2 + e,    r = -6 ... 6     (least squares)
     coherence = |G|^2 S_uu / (|G|^2 S_uu + s_e^2)
 
-U, Y: transforms of force and output over the whole record. What the record began with, and goes on with after its end,
-is smooth in frequency: the t take it up, so no window is needed, and no time in which a transient dies away.
+U, Y: transforms of force and output over the whole record. Transients at both ends of the record are smooth in
+frequency. The terms t model them, so neither a window nor a settling time is needed.
 Source: Pintelon & Schoukens (2012), System Identification, 7.2 (local polynomial method).
 """
 
@@ -17,17 +17,17 @@ from scipy.signal.windows import tukey
 
 from .output_error import Problem
 
-_HALF, _DEGREE = 6, 2  # lines on either side; of the polynomials
-_LINES = 256  # at most, in all records
-_EXCITED = 1e-3  # of the largest local energy: below it a line is not excited
-_TAPER = 0.2  # of the record: untapered, the jump from its end to its beginning would pass for excitation everywhere
+_HALF, _DEGREE = 6, 2  # lines on either side; degree of the polynomials
+_LINES = 256  # at most, over all records
+_EXCITED = 1e-3  # of the largest local energy: a line below it is not excited
+_TAPER = 0.2  # fraction of the record: without a taper, the jump from end to start looks like excitation
 _COHERENT = 0.8
-_FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of their highest to lowest, that tell of orders
+_FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of highest to lowest, needed to distinguish orders
 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """Output over force (base units) at some frequencies (Hz), its standard error, and the coherence of both."""
+    """Output over force (base units) at some frequencies (Hz), with standard error and coherence."""
 
     hz: Float[np.ndarray, " lines"]
     value: Complex[np.ndarray, " lines"]
@@ -36,12 +36,12 @@ class FrequencyResponse:
 
     @property
     def coherent(self) -> np.ndarray:
-        """Lines whose coherence is at least 0.8."""
+        """Return which lines have a coherence of at least 0.8, shape (lines,)."""
         return self.coherence >= _COHERENT
 
     @property
     def rich(self) -> bool:
-        """Whether it is known at enough lines, far enough apart, that orders and delays can be told from it."""
+        """Return whether enough lines are coherent, over a wide enough band, to distinguish orders and delays."""
         known = self.hz[self.coherent]
         return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
 
@@ -50,7 +50,7 @@ UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros
 
 
 def frequency_response(problem: Problem) -> FrequencyResponse:
-    """Of every record on lines spaced by their logarithm; the records' lines stand beside each other."""
+    """Return the response of every record on logarithmically spaced lines, all records' lines in one list."""
     each = max(_LINES // len(problem.drive), 8)
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
@@ -68,7 +68,7 @@ def frequency_response(problem: Problem) -> FrequencyResponse:
 
 
 def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Sequence[np.ndarray]:
-    """Frequencies, response, standard error and coherence of one record."""
+    """Return frequencies, response, standard error and coherence of one record."""
     u, y = np.fft.rfft(force)[1:], np.fft.rfft(output)[1:]
     last = len(u) - 2 * _HALF - 2
     middle = np.unique(np.geomspace(_HALF, max(last, _HALF + 1), 4 * most).astype(int))

@@ -1,12 +1,12 @@
-"""Score a candidate by blocks it was not fitted to, and only by what its drive explains there.
+"""Score a candidate on blocks left out of its fit, and only by the part of the output that the input explains.
 
     every record in 3 blocks;  fold f leaves out block (f + record) mod 3;  poles, delay, gain refitted on the rest
     e = y - g x - (real modes' free responses) - mean over the block,      score^2 = sum e^2 / sum (y - mean)^2
 
-x runs through the whole record from rest, or from the equilibrium of u(0): an oscillation that no drive excites is not
-in it, so a mode that rings on through a record to meet a harmonic has no credit (a piezo: 2.6 % in sample, 58 % on
-other records). A start in motion is not scored for half its block: what rings dies away there, and what the drive did
-before the record passes a delay.
+x is simulated through the whole record from rest, or from the equilibrium of u(0). It does not contain an oscillation
+that no input excites, so a lightly damped mode fitted to a harmonic does not improve the score (a piezo: 2.6 % in
+sample, 58 % on other records). A record that starts in motion is not scored in the first half of its block: transients
+decay there, and a delay no longer needs the input before the record.
 """
 
 from dataclasses import dataclass
@@ -22,10 +22,10 @@ _LEAST = 1e-3  # of the output: no record resolves less
 
 @dataclass(frozen=True)
 class HeldOut:
-    """What is left of every record by fits that did not see it (over the output's rms; 0 where not scored).
+    """Residual of every record by fits without its block (over the output's rms; 0 where not scored).
 
     Attributes:
-        score: rms of it over the standard deviation of the output, both about the block's mean.
+        score: rms of the error over the standard deviation of the output, both about the block's mean.
         error, scored: per record, shape (T_r,).
     """
 
@@ -36,7 +36,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One structure, its parameters, what it leaves in sample (mean square of the output's), and held out.
+    """One structure, its parameters, and its residual in sample (mean square, output = 1) and held out.
 
     `known`: the records determine its poles (`order_fit`).
     """
@@ -50,12 +50,12 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Held out, with what no record resolves."""
+        """Return the held-out score, combined with the smallest error that a record resolves."""
         return float(np.hypot(self.heldout.score, _LEAST))
 
 
 def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
-    """The energy of error and output in octaves from one period a record to the Nyquist frequency."""
+    """Return the energy of error and output in octaves, from one period per record to the Nyquist frequency."""
     low, high = 1 / problem.seconds, 0.5 / problem.dt
     edges = low * 2.0 ** np.arange(int(np.ceil(np.log2(high / low))) + 1)
     total = np.zeros((2, len(edges) - 1))
@@ -69,7 +69,7 @@ def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
 
 
 def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> HeldOut:
-    """Refit from `params` on all folds but one, and run on that one."""
+    """Refit from `params` without each fold in turn, and return the errors on the folds left out."""
     edges = [np.linspace(0, len(w), 3 * _FOLDS + 1).astype(int) for w in problem.weight]
     error = [np.zeros(len(w)) for w in problem.weight]
     scored = [np.zeros(len(w)) for w in problem.weight]
@@ -83,13 +83,13 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
             for block in some:
                 mask[block] = 0.0
         rest = masked(problem, keep)
-        # from the fit of all samples: a few steps, since only what the left-out third adds is taken back
+        # start from the fit of all samples; a few steps undo the influence of the third left out
         refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
         solved = solve(refitted, structure, rest)
         for k, some in enumerate(parts):
             run = solved.gains[0] * driven(refitted, structure, problem, k)
             own, rings = own_columns(refitted, structure, problem, k)
-            # a real mode's free response is drift or creep, which goes on; one that rings has no credit
+            # a real mode's free response is drift or creep and continues; a ringing mode gets no credit
             run = run + own[:, ~rings] @ solved.own[k][~rings]
             for block in some:
                 weight = problem.weight[k][block].copy()

@@ -1,12 +1,12 @@
 """Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
 
-    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + zero_r + noise
+    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + offset_r + noise
 
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
-How records begin (`beginnings`), what they show without a model (`frequency_response`), starts from it by optimistix
-(`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by what is left out
-(`candidates`), and the chosen one in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
+Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
+optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
+(`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
 from collections.abc import Callable, Sequence
@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from .._effects import effect
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.domain import Domain
 from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
@@ -44,30 +45,30 @@ from .remarks import refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
-_BANDLIMITED = 0.997  # of its error that this hold has to leave at most: a wrong one costs little
+_BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choice costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
-_SAMPLES = 10_000  # of which candidates are compared: more are averaged over blocks, as long as these hide no more than
+_SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
 _NONE = (
     "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
     "or check that the voltage and displacement columns belong together"
 )
-_HIDDEN = 0.1  # of what a linear model leaves: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
+_HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
 
 @dataclass(frozen=True)
 class Identification(Shown):
-    """The model of the chosen order, every order compared, and how every record begins.
+    """The model of the chosen order, all orders compared, and the initial state of every record.
 
     Attributes:
-        model: its `output` is the zero and the direction of most records.
-        chosen, orders: the order taken, and the best candidate of all that were compared.
-        beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
-        response: what the records show without a model.
-        out_of_fold: what fits that did not see them leave of these records, by band; in the model's origin too.
-        residuals: whether what is left is white, and whether the drive still shows in it.
-        remarks: what the records leave open, a sentence each.
+        model: its `output` has the offset and direction of most records.
+        chosen, orders: the chosen order, and the best candidate of every compared order.
+        beginnings: per record its initial state, and its sensor's direction and offset with standard error.
+        response: the measured frequency response.
+        out_of_fold: errors of these records in fits without them, by band; also in the model's origin.
+        residuals: whether the residual is white and uncorrelated with the input.
+        remarks: open questions after these records, one sentence each.
         explains: whether any order explains a tenth of the output's rms on held-out blocks.
-        warning: a sentence where the model explains nothing or little, or the input follows from the output.
+        warning: a sentence if the model explains little, or the input follows from the output.
     """
 
     model: Fitted
@@ -85,7 +86,7 @@ class Identification(Shown):
         return [vars(fit) for fit in self.orders]
 
     def __repr__(self) -> str:
-        """Two lines: the order taken and what it leaves; how the records begin."""
+        """Return two lines: the chosen order with its residual, and the initial states of the records."""
         c, kinds = self.chosen, [b.begins for b in self.beginnings.values()]
         begin = ", ".join(f"{kinds.count(kind)} {word}" for kind, word in _BEGIN.items() if kind in kinds)
         natural = ", ".join(f"{f:.4g}" for f in c.natural_hz)
@@ -96,15 +97,15 @@ class Identification(Shown):
 
     @property
     def rest(self) -> dict[str, bool]:
-        """Which records begin at rest."""
+        """Return which records start at rest, by name."""
         return {name: b.begins == "rest" for name, b in self.beginnings.items()}
 
     def to_scipy(self) -> StateSpace:
-        """The model as SciPy's state space: states x, x', ... x^(n-1); from force (V^2 or V) to displacement (m).
+        """Return the model in SciPy's state space x, x', ... x^(n-1), from force (V^2 or V) to displacement (m).
 
             x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
 
-        Without the delay, which is no finite number of states (`chosen.delay`), and without the sensor's zero.
+        It excludes the delay, which has no finite number of states (`chosen.delay`), and the sensor offset.
         """
         c = self.chosen
         a = np.eye(c.order, k=1)
@@ -114,7 +115,7 @@ class Identification(Shown):
         return StateSpace(a, b, out, np.zeros((1, 1)))
 
     def to_control(self):
-        """The same as python-control's `StateSpace`, for `bode_plot`, `lqr` and the like.
+        """Return the model as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
 
         Raises:
             BadInput: python-control is not installed.
@@ -142,37 +143,28 @@ def identify(
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
-        order: 1 to 6, or "auto": the fewest poles and delays that leave, on blocks left out, within 3 % of the least.
+        order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
         input_map: "square" (F = u^2) or "linear" (F = u).
-        hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh or zoh, or bandlimited where
-            it wins by 0.3 %.
-        learn: ("delay",) to keep a pure delay between drive and motion in any case; the model carries it as an effect.
-            One shorter than a twentieth of a sample is none.
-        leave_out: ("delay",) to do without; else a delay stays where it pays on blocks left out.
+        hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
+            is better by 0.3 %.
+        learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
+            Delays below a twentieth of a sample are ignored.
+        leave_out: ("delay",) to fit none; by default a delay stays if it improves the held-out error.
         progress: called with one line per finished order.
 
     Returns:
-        the model (a `Fitted`), every order compared, and how every record begins.
+        the model (a `Fitted`), every compared order, and the initial state of every record.
 
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.
-        ComputationFailed: the asked order cannot be identified from these records.
+        ComputationFailed: the requested order cannot be identified from these records.
 
     Examples:
         >>> found = pitp.identify(records, order=2)
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')
     """
-    if input_map not in INPUT_MAPS:
-        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
-    if order != "auto" and order not in ORDERS:
-        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
-    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
-        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
-    if unknown := sorted({*learn, *leave_out} - {"delay"}):
-        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
-    if "delay" in learn and "delay" in leave_out:
-        raise BadInput("a delay cannot be both learned and left out: choose one")
+    _check_options(order, input_map, hold, learn, leave_out)
     check_set(records)
     check_motion(records)
     begun, roots, misfit = find_beginnings(records, input_map)
@@ -180,21 +172,7 @@ def identify(
     whole = build_problem(records, input_map, begun)
     small = _averaged(records, input_map, begun, roots, finest)
     response = frequency_response(whole)
-    asked = {
-        "orders": ORDERS if order == "auto" else (int(order),),
-        "holds": _HOLDS if hold is None else (hold,),
-        "delays": [False] if "delay" in leave_out else [False, True],
-    }
-    candidates = search(small, response, roots, **asked, progress=progress)
-    if not candidates:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
-    if order != "auto" and response.rich and not any(c.known for c in candidates):
-        # a sharp resonance has a minimum every period of the record: before a refusal, start from the other guesses
-        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
-    if "delay" in learn:  # in any case, but where it vanishes: as one more number it would only cost held-out scores
-        # orders whose delay did not vanish
-        late = {c.structure.order for c in candidates if c.structure.delayed}
-        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
+    candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.poles_known:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
@@ -202,7 +180,7 @@ def identify(
     begun = _coloured(records, begun, fit, chosen, whole)
     whole = replace(whole, beginnings=tuple(begun))
     fit = describe(chosen, whole)
-    # of each order what the records determine, then what predicts best
+    # of each order the candidates that the records determine, then the one that predicts best
     best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
@@ -216,8 +194,51 @@ def identify(
     return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
 
 
+def _check_options(
+    order: int | str, input_map: str, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
+) -> None:
+    """Refuse options of `identify` that do not exist or exclude each other."""
+    if input_map not in INPUT_MAPS:
+        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
+    if order != "auto" and order not in ORDERS:
+        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
+        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
+    if unknown := sorted({*learn, *leave_out} - {"delay"}):
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
+    if "delay" in learn and "delay" in leave_out:
+        raise BadInput("a delay cannot be both learned and left out: choose one")
+
+
+def _candidates(
+    small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
+    leave_out: Sequence[str], progress: Callable[[str], None],
+) -> list[Candidate]:  # fmt: skip
+    """List the candidates of the requested orders, holds and delays, in ascending order.
+
+    Raises:
+        ComputationFailed: none of them could be simulated.
+    """
+    asked = {
+        "orders": ORDERS if order == "auto" else (int(order),),
+        "holds": _HOLDS if hold is None else (hold,),
+        "delays": [False] if "delay" in leave_out else [False, True],
+    }
+    candidates = search(small, response, roots, **asked, progress=progress)
+    if not candidates:
+        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+    if order != "auto" and response.rich and not any(c.known for c in candidates):
+        # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
+        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+    if "delay" in learn:  # prefer the delay wherever it does not vanish
+        # orders whose delay did not vanish
+        late = {c.structure.order for c in candidates if c.structure.delayed}
+        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
+    return candidates
+
+
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
-    """The problem on which candidates are compared: means over blocks where there are more samples than it takes."""
+    """Return the problem on which candidates are compared: block means if there are more samples than necessary."""
     whole = build_problem(records, input_map, begun)
     fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
@@ -232,10 +253,10 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 def _determined(
     candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
 ) -> tuple[Candidate, OrderFit]:
-    """The best candidate whose poles all samples determine too, and described; else the last of those tried."""
+    """Return the best candidate with known poles, refitted on all samples, and its description; or the last one."""
     while True:
         chosen = choose(candidates)
-        # a delay, or means over samples, hide which hold it is
+        # a delay or block means hide which hold it is
         open_hold = chosen.structure.delayed or small.fine < small.dt
         holds: Sequence[Hold] = (hold,) if hold else _HOLDS if open_hold else (chosen.structure.hold,)
         chosen = _refined(chosen, whole, holds, bandlimited=hold is None)
@@ -246,11 +267,11 @@ def _determined(
 
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
-    """The candidate on all samples, under the hold that leaves least where the blocks could not tell."""
+    """Return the candidate refitted on all samples, under the hold with the least error if blocks did not decide."""
     ends = []
     for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
         structure = replace(chosen.structure, hold=hold)
-        if hold == "bandlimited" and bandlimited:  # four times as dear: it has to lead after one step
+        if hold == "bandlimited" and bandlimited:  # four times as expensive: it must lead after one step
             first = least_squares(chosen.params, structure, problem, 2)[1]
             if first > min(worth for worth, _ in ends):
                 continue
@@ -263,10 +284,10 @@ def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, band
 def _coloured(
     records: Sequence[Record], begun: Sequence[Beginning], fit: OrderFit, chosen: Candidate, problem: Problem
 ) -> list[Beginning]:
-    """Beginnings whose zeros read at rest have the error that slow noise gives them.
+    """Return initial states in which offsets measured at rest have the standard error that slow noise causes.
 
-    Noise is slow where its fifth difference over some samples exceeds that over one, which a smooth misfit does not
-    make: at 30 samples a period the fifth difference leaves 2e-5 of it, 5e-3 of its third harmonic.
+    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
+    effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
     """
     apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
     found = []
@@ -282,7 +303,7 @@ def _coloured(
 
 
 def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
-    """Beginnings with fitted zeros and directions as the rig has them."""
+    """Return initial states with the fitted sensor offsets and directions."""
     gains = solve(chosen.params, chosen.structure, problem).gains
     polarity = float(np.sign(gains[0]) or 1.0)
     errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1
@@ -301,7 +322,7 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
 def _to_model(
     chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, own: OutOfFold, said: tuple[str, ...]
 ) -> Fitted:
-    """Scaled model: state scales are the rms of the identified model's own derivatives over the records."""
+    """Return the identified model, its states scaled by the rms of its own derivatives over the records."""
     n = chosen.order
     a = chosen.coefficients
     relative = chosen.stderr / a
@@ -340,4 +361,4 @@ def _to_model(
     )
     if chosen.delay > 0:
         model = replace(model, effects=(effect("delay", time=chosen.delay),))
-    return Fitted(model, origin)
+    return Fitted(model, with_excited(origin, records))

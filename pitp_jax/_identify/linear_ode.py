@@ -1,13 +1,14 @@
-"""Stable linear ODEs by construction, and their exact response to a sampled drive.
+"""Linear ODEs that are stable by construction, and their exact response to a sampled input.
 
     P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
     P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)
     m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
     f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
 
-Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 is what the
-square of a line has beside the line between squares, or half the second difference of a force that is cubic between
-samples. A mode is one first-order filter, ten times faster than the chained state space. Its slope is another:
+Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 adds the
+difference between the square of a line and the line between squares, or half the second difference of a force that is
+cubic between samples. A mode is one first-order filter, ten times faster than the chained state space. Its derivative
+is another:
 
     m'(t+1) = e^z m'(t) + e^z m(t) + sum_k f_k'(z) ...,    phi_k' = phi_k - k phi_{k+1}
     (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b
@@ -22,12 +23,12 @@ from scipy.signal import lfilter
 from .._numerics.intersample import between
 
 _FINER = 4
-_APART = 1e-5  # of a pole: two nearer ones are moved apart, which shifts a response by less than 1e-9
+_APART = 1e-5  # of a pole: two nearer ones are separated, which changes a response by less than 1e-9
 _TERMS = 24
 
 
 def _factors(logs: np.ndarray) -> list[np.ndarray]:
-    """Ascending coefficients of the quadratic factors, and of the linear one of an odd order."""
+    """Return the ascending coefficients of the quadratic factors, and of the linear factor of an odd order."""
     sizes = np.exp(logs)
     pairs = [np.array([sizes[k + 1], sizes[k], 1.0]) for k in range(0, len(logs) - 1, 2)]
     return pairs + [np.array([sizes[-1], 1.0])] * (len(logs) % 2)
@@ -41,23 +42,23 @@ def _product(factors) -> np.ndarray:
 
 
 def polynomial(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n+1"]:
-    """Ascending coefficients c_0 ... c_{n-1}, 1 of the factors whose coefficients have the logarithms `logs`."""
+    """Return ascending coefficients c_0 ... c_{n-1}, 1 of the polynomial whose factors have the logarithms `logs`."""
     return _product(_factors(logs))
 
 
 def polynomial_slopes(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n+1 n"]:
-    """Derivatives dc_i / dlogs_j: the other factors times the one term that logs_j scales."""
+    """Return the derivatives dc_i / dlogs_j: the other factors times the term that logs_j scales."""
     factors, slopes = _factors(logs), np.zeros((len(logs) + 1, len(logs)))
     for k, factor in enumerate(factors):
         others = _product(factors[:k] + factors[k + 1 :])
-        for power in range(len(factor) - 1):  # ascending, while logs hold the highest power first
+        for power in range(len(factor) - 1):  # powers ascend, but logs hold the highest power first
             column = 2 * k + len(factor) - 2 - power
             slopes[power : power + len(others), column] = factor[power] * others
     return slopes
 
 
 def logs_from_roots(roots: np.ndarray) -> np.ndarray:
-    """Inverse of `polynomial`, after reflecting the roots into the stable half plane."""
+    """Return the logarithms of the polynomial with these roots, after reflecting them into the stable half plane."""
     roots = np.asarray(roots, complex)
     size = np.maximum(np.abs(roots), 1e-4)
     roots = np.asarray(-np.maximum(np.abs(np.real(roots)), 1e-3 * size) + 1j * np.imag(roots))
@@ -72,7 +73,7 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
 
 
 def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-    """The poles, no two of them alike."""
+    """Return the poles, with equal ones slightly separated."""
     roots: list[complex] = []
     for factor in _factors(logs):
         if len(factor) == 2:
@@ -80,7 +81,7 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
             continue
         half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))  # p = -b/2 +- sqrt(b^2 / 4 - c)
         half = half if abs(half) > _APART * factor[1] else complex(_APART * factor[1])
-        far = -factor[1] / 2 - half  # the larger one, which does not cancel
+        far = -factor[1] / 2 - half  # the larger one, free of cancellation
         roots += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
     for k, pole in enumerate(roots):
         if any(abs(pole - other) < _APART * abs(pole) for other in roots[:k]):
@@ -89,14 +90,14 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
 
 
 def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
-    """The same poles, but those beyond `fastest` moved back to it; coefficients cut one by one would move all."""
+    """Return logarithms with poles beyond `fastest` scaled back to it; clipping coefficients would move all poles."""
     known = poles(logs)
     size = np.abs(known)
     return logs_from_roots(known * np.minimum(fastest / size, 1.0)) if (size > fastest).any() else logs
 
 
 def _phi(z: complex, k: int) -> complex:
-    """phi_k: by its series near zero, where the closed form cancels."""
+    """Return phi_k(z), by its series near zero, where the closed form cancels."""
     if abs(z) < 1:
         term = total = 1 / factorial(k) + 0j
         for j in range(1, _TERMS):
@@ -110,7 +111,7 @@ def _phi(z: complex, k: int) -> complex:
 
 
 def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
-    """Derivatives dp_i / dlogs_j of the poles, in the order of `poles`."""
+    """Return the derivatives dp_i / dlogs_j of the poles, in the order of `poles`."""
     known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
     for k, factor in enumerate(_factors(logs)):
         for i in range(2 * k, 2 * k + len(factor) - 1):
@@ -131,7 +132,7 @@ def respond(
     settled: bool = False,
     late: float = 0.0,
 ) -> Float[np.ndarray, " time"]:
-    """Response with unit static gain to the force drive^2 (or drive).
+    """Return the response with unit static gain to the force drive^2 (or drive), shape (time,).
 
     Args:
         logs: of the pole coefficients, in rad per unit of time.
@@ -139,7 +140,7 @@ def respond(
         step: duration of one sample in the unit of time of the poles.
         square: whether the force is the square of the voltage.
         hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
-        settled: from the equilibrium of the first sample, not from rest.
+        settled: start from the equilibrium of the first sample, not from rest.
         late: delay in samples; exact between them.
     """
     if hold == "bandlimited":
@@ -164,7 +165,7 @@ def respond_with_slopes(
     settled: bool = False,
     late: float = 0.0,
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
-    """The response of `respond`, its derivatives by the logarithms, and its rate (per unit of time)."""
+    """Return the response as `respond` does, its derivatives with respect to the logarithms, and its rate."""
     if hold == "bandlimited":
         how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
         run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
@@ -180,19 +181,19 @@ def respond_with_slopes(
         slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)  # m'(t+1) at the head of the file
         slope = _later(slope + part * mode, pole, part, rows, whole, 1)
         mode = _later(mode, pole, part, rows, whole)
-        relative = 1 / z  # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  of z_i itself less the sum of these
+        relative = 1 / z  # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum
         relative[np.arange(len(z)) != i] += 1 / (pole - others)
         relative[i] -= (1 / (pole - others)).sum()
         residue = _residue(pole, z)
         of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
         of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
         for series, factors in ((mode, of_mode), (slope, of_slope)):
-            for number, size in zip(runs, factors, strict=True):  # by hand: BLAS would start its threads for this
+            for number, size in zip(runs, factors, strict=True):  # a loop, because BLAS would start its threads
                 if pole.imag:
                     number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
                 elif size:
                     number[whole:] += size.real * series
-    if len(z) == 1:  # the force itself acts on the rate of a first order
+    if len(z) == 1:  # for order 1 the force itself acts on the rate
         rows = np.column_stack([rows, rows[:, -1]])
         force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
         runs[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
@@ -202,7 +203,7 @@ def respond_with_slopes(
 def bounded_response(
     poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"], hold: str
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
-    """Response of poles on either side of the axis (rad a sample), and the free ones, all bounded on the record.
+    """Return the response of stable and unstable poles (rad a sample) and their free responses, bounded on the record.
 
     Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
     back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
@@ -226,8 +227,8 @@ def _finer(drive: np.ndarray) -> np.ndarray:
 
 
 def _split(late: float, samples: int) -> tuple[int, float]:
-    """A delay as whole samples, less a part of one."""
-    # u(t - late): whole samples later than that, then a part of a sample on, which the exact step allows
+    """Return a delay as whole samples minus a fraction of a sample."""
+    # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
     whole = min(int(np.ceil(late)), samples - 1)
     return whole, max(whole - late, 0.0)
 
@@ -238,14 +239,14 @@ def _residue(pole: complex, z: np.ndarray) -> complex:
 
 
 def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
-    """What f_1, f_2, f_3 multiply, (1 to 3, T - 1), and the force from which it counts."""
+    """Return the rows that f_1, f_2, f_3 multiply, shape (1 to 3, T - 1), and the reference level of the force."""
     force = drive**2 if square else drive
     level = float(force[0]) if settled else 0.0
     rows = [force[:-1] - level]
     if hold != "zoh":
         rows.append(np.diff(force))
     if hold == "cubic":
-        # half of F'' within the sample, h = 1: of the second differences at its two ends the mean
+        # half of F'' within the sample (h = 1): the mean of the second differences at its two ends
         bend = np.pad(np.diff(force, 2), 1, mode="edge")
         rows.append((bend[:-1] + bend[1:]) / 4)
     elif hold == "foh" and square:
@@ -254,7 +255,7 @@ def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[
 
 
 def _weights(z: complex, part: float = 1.0) -> np.ndarray:
-    """f_1, f_2, f_3 for a part of a sample, and their derivatives by z, (2, 3); real where z is."""
+    """Return f_1, f_2, f_3 for a fraction of a sample, and their derivatives by z, shape (2, 3)."""
     s = part
     one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
     both = np.array([[one, two, 2 * three - two],
@@ -263,7 +264,7 @@ def _weights(z: complex, part: float = 1.0) -> np.ndarray:
 
 
 def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
-    """A mode (or its slope, where `slope` is 1) a part of a sample on, without its last `whole` samples."""
+    """Return a mode (`slope` 1: its derivative) a fraction of a sample later, without its last `whole` samples."""
     kept = len(mode) - whole
     if not part:
         return mode[:kept]
@@ -275,14 +276,14 @@ def _decay(z: complex) -> complex:
 
 
 def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
-    """A mode from 0 on, one longer than what pushes it."""
+    """Return a mode that starts at 0, one sample longer than its input."""
     return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
 
 
 def coast(
     logs: Float[np.ndarray, " n"], samples: int, *, step: float
 ) -> tuple[Float[np.ndarray, "time n"], np.ndarray]:
-    """Free responses of every mode, of size one at the start, and which of them oscillate."""
+    """Return the free responses of every mode, of size one at the start, and which of them oscillate."""
     columns, rings = [], []
     for pole in poles(logs) * step:
         if pole.imag < 0:
@@ -294,7 +295,7 @@ def coast(
 
 
 def powers(z: complex, samples: int) -> Complex[np.ndarray, " time"]:
-    """e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
+    """Return e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
     size = int(np.ceil(np.sqrt(samples)))
     coarse, fine = np.exp(z * size * np.arange(size)), np.exp(z * np.arange(size))
     return (coarse[:, None] * fine).reshape(-1)[:samples]

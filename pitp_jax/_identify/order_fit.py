@@ -1,13 +1,13 @@
-"""One identified order in physical units, with the covariance of its numbers.
+"""One identified order in physical units, with the covariance of its parameters.
 
     a_i = c_i / (c_0 |g|)
     cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + sum_z v v' var(z),    H = J'J,    v = dp/dz = H^-1 J'w
 
 g_b: half the gradient over four of 64 blocks of samples in a row (overlapping batch means: B = 1.5 64 / 4 degrees of
 freedom; Meketon and Schmeiser, 1984). Model error and slow noise are strongly correlated, and the textbook sigma^2 H^-1
-would understate the errors by an order of magnitude; blocks by themselves, AR(0.98) in 62 samples, by a third. Where
-few blocks tell of a parameter the sandwich is the smaller one: D >= 1 widens it to the textbook's variance. J: initial
-states projected out. The zero of a record at rest is not fitted; v carries its error.
+would understate the errors by an order of magnitude; separate blocks, AR(0.98) in 62 samples, by a third. If few blocks
+determine a parameter, the sandwich is too small: D >= 1 widens it to the textbook's variance. J: initial states
+projected out. The offset of a record at rest is not fitted; v propagates its error.
 """
 
 from dataclasses import dataclass
@@ -22,9 +22,9 @@ from .linear_ode import polynomial, polynomial_slopes
 from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
 
 _BLOCKS, _IN_A_ROW = 64, 4
-_BEYOND = 1.5  # rad a sample: a faster pole is none that these samples show
+_BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
 _INTEGRATES = 0.1  # rad in the longest record
-_KNOWN = 3.0  # largest standard error of a logarithm: poles that no data see are open by hundreds
+_KNOWN = 3.0  # largest standard error of a logarithm; unmeasured poles have errors of hundreds
 
 
 @dataclass(frozen=True, repr=False)
@@ -33,24 +33,24 @@ class OrderFit(Shown):
 
     Attributes:
         order: n.
-        hold: how the voltage was taken between samples.
+        hold: the voltage between samples.
         coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
-            robust to correlated residuals, the error of an offset taken from rest included.
+            robust to correlated residuals, including the error of an offset estimated at rest.
         correlation: of those errors, shape (n + 1, n + 1).
         mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
-        heldout: rms error on blocks left out, % of the output's standard deviation there (`heldout`).
+        heldout: rms error on held-out blocks, % of the output's standard deviation there (`heldout`).
         natural_hz, damping: of every real pole and pole pair, ascending in frequency.
         natural_stderr: of the natural frequencies, Hz.
-        offset, polarity: the sensor's zero (m) and direction (+1 or -1).
+        offset, polarity: sensor offset (m) and direction (+1 or -1).
         converged: the least squares met its tolerance.
-        poles_known: converged, and every pole is known: its logarithm to better than +-3 (a strong nonlinearity
-            inflates the errors of a perfectly good linear fit). The pole may be open that makes it `static`, or the
-            one by which it `integrates`; none stands at the fastest that is sought.
-        identifiable: its poles are known, and every coefficient is larger than its standard error, but for the one
-            that a `static` plant or one that `integrates` does not show.
-        static: order 1, and its pole lies beyond what the samples show.
+        poles_known: converged, and the logarithm of every pole is known to +-3 (a strong nonlinearity inflates the
+            errors of a good linear fit). The pole that makes it `static`, or by which it `integrates`, may be unknown.
+            No pole lies at the upper bound.
+        identifiable: its poles are known, and every coefficient is larger than its standard error, except the one that
+            a `static` or integrating plant does not show.
+        static: order 1, with a pole too fast for the sampling rate.
         integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
-        delay, delay_stderr: of the drive in s, where one was fitted.
+        delay, delay_stderr: of the input in s, if one was fitted.
     """
 
     order: int
@@ -76,7 +76,7 @@ class OrderFit(Shown):
 
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
-    """Physical coefficients, their errors, and the figures orders are compared by."""
+    """Return the physical coefficients, their standard errors, and the figures used to compare orders."""
     structure, params = candidate.structure, candidate.params
     n, poles = structure.order, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
@@ -115,12 +115,12 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
 
 
 def identifiable(params: np.ndarray, structure: Structure, problem: Problem, converged: bool) -> bool:
-    """Whether the records determine these poles: see `OrderFit`."""
+    """Return whether the records determine these poles (see `OrderFit`)."""
     return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
 
 
 def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool, bool]:
-    """Whether the poles are determined, are those of a static plant, and have one by which it integrates."""
+    """Return whether the poles are determined, whether the plant is static, and whether it integrates."""
     known = np.sqrt(np.clip(np.diag(spread), 0, None))[: len(poles)]
     open_ones = int((known >= _KNOWN).sum())
     fast = bool(len(poles) == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
@@ -131,13 +131,13 @@ def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tupl
 
 
 def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
-    """The sensor's zero of a record, output unit."""
+    """Return the sensor offset of a record, in the output's unit."""
     group, b = problem.zeros[record], problem.beginnings[record]
     return float(b.zero + (problem.scale * gains[1 + group] if group >= 0 else 0.0))
 
 
 def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """a_i and their Jacobian by the logarithms and the gain."""
+    """Return the coefficients a_i and their Jacobian with respect to the logarithms and the gain."""
     logs = params[: structure.order]
     poly, slopes = polynomial(logs), polynomial_slopes(logs)
     a = poly / poly[0] / (abs(gain) * problem.scale)
@@ -147,7 +147,7 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
 
 
 def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
-    """Standard errors of |p| / 2 pi by differences along the logarithms, in the order of `upper`."""
+    """Return the standard errors of the natural frequencies |p| / 2 pi (Hz), in the order of `upper`."""
     errors = []
     for pole in upper:
         slope = np.zeros(structure.order + 1)
@@ -161,7 +161,7 @@ def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> 
 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
-    """Covariance of (logarithms, gain, fitted zeros, log delay): see the head of this file."""
+    """Return the covariance of (logarithms, gain, fitted offsets, log delay), as at the head of this file."""
     n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
     linear = 1 + problem.free_zeros
     order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
@@ -175,7 +175,7 @@ def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Fl
         if own.shape[1]:
             one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
         hessian += jacobian.T @ jacobian
-        # dp = H^-1 J'w dz: what an error of the zero read at rest moves
+        # dp = H^-1 J'w dz: the change caused by an error of the offset measured at rest
         by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
         cost += float(residual @ residual)
         block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
@@ -185,7 +185,7 @@ def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Fl
     inverted = inverse(hessian)
     count, free = _BLOCKS - _IN_A_ROW + 1, 1.5 * _BLOCKS / _IN_A_ROW
     moves = sum(scores[k : k + count] for k in range(_IN_A_ROW)) @ inverted
-    # H^-1 (sum g g') H^-1 B / (B - P), the ends being in fewer rows
+    # H^-1 (sum g g') H^-1 B / (B - P); samples at the ends belong to fewer blocks
     sandwich = moves.T @ moves * (_BLOCKS / count / _IN_A_ROW * free / max(free - size, 1))
     textbook = cost / max(problem.samples - size, 1) * inverted
     wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))

@@ -1,9 +1,9 @@
-"""What an engineer has to know beside the numbers of an identification, a sentence each.
+"""Remarks about an identification for the engineer, one sentence each.
 
     least certain:      d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
-    creep:              e = b s + w,  tau s' = F - s    e: what the model leaves; BIC asks for b, w coloured
+    creep:              e = b s + w,  tau s' = F - s    e: residual; significant by BIC, w coloured
 
-Each line ends with what to record, or to ask, about it.
+Each line ends with a recording to make or a question to answer.
 """
 
 import numpy as np
@@ -15,18 +15,18 @@ from .order_fit import OrderFit
 from .output_error import FASTEST, Problem, driven, own_columns, solve
 from .unstable import unstable_pole
 
-_BOUND = 0.97  # of a bound: a fit that ends beyond it stands there
-_WEAK = 0.1  # standard error, of a coefficient, above which a direction is told as weak
-_PART = 0.3  # of a direction, below which a coefficient has no part in it
-_USELESS = 0.1  # of the output's deviation: a model that leaves more held out may be one of an unstable plant
-_NEAR_ZERO = 0.1  # of the largest drive
-_BLOCKS = 256  # of a record, in whose means creep is sought
-_LAGS = np.geomspace(0.1, 10.0, 9)  # of the longest record
-_SURE, _SEEN = 10.0, 0.01  # BIC that creep has to win; of the output's deviation that it has to move
+_BOUND = 0.97  # fraction of a bound: a fit beyond it counts as stopped there
+_WEAK = 0.1  # standard error of a coefficient above which a combination is reported as weak
+_PART = 0.3  # fraction of a combination below which a coefficient does not belong to it
+_USELESS = 0.1  # fraction of the output's deviation: a larger held-out residual may mean an unstable plant
+_NEAR_ZERO = 0.1  # fraction of the largest voltage
+_BLOCKS = 256  # blocks of a record, over which it is averaged to find creep
+_LAGS = np.geomspace(0.1, 10.0, 9)  # fractions of the longest record
+_SURE, _SEEN = 10.0, 0.01  # BIC that creep must gain; fraction of the output's deviation that it must explain
 
 
 def refusal(fit: OrderFit, problem: Problem) -> str:
-    """Say why the asked order was refused, and what to do."""
+    """Return why the requested order was refused, and what to do."""
     why = "its poles are not determined by the data" if fit.converged else "the least squares ran away"
     if _at_fastest(fit, problem):
         hz = FASTEST / problem.fine / (2 * np.pi)
@@ -36,7 +36,7 @@ def refusal(fit: OrderFit, problem: Problem) -> str:
 
 
 def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) -> list[str]:
-    """List what the records leave open about this fit; `every`: all orders were tried, not one that was asked for."""
+    """Return remarks on what the records do not determine; `every`: whether all orders were tried."""
     if every and chosen.heldout.score > _USELESS and (line := unstable_line(chosen, problem)):
         return [line]
     said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
@@ -71,7 +71,7 @@ def _at_fastest(fit: OrderFit, problem: Problem) -> bool:
 
 
 def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
-    """Say that the plant is unstable and what to record instead; None where a pole on the right explains nothing."""
+    """Return a line that the plant is unstable and what to record instead; None if no unstable pole is found."""
     error = float(np.sqrt(chosen.cost))
     better = unstable_pole(error, problem)
     if better is None:
@@ -86,10 +86,10 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
 
 
 def _weak(fit: OrderFit) -> list[str]:
-    """Name coefficients without influence, and the direction among the others in which the records say least."""
+    """Return lines on coefficients without influence and on the least certain combination of the others."""
     relative = fit.stderr / np.abs(fit.coefficients)
     hidden = {0} if fit.integrates else {1} if fit.static else set()
-    # one that is not known is hidden behind a sentence of its own
+    # an unknown coefficient of these two kinds has a remark of its own
     without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
     names = ", ".join(f"a{i}" for i in without)
     said = [f"Without influence on these recordings, and therefore not known: {names}."] if without else []
@@ -113,10 +113,10 @@ def _weak(fit: OrderFit) -> list[str]:
 
 
 def _creep(chosen: Candidate, problem: Problem) -> list[str]:
-    """Report creep that the order has no pole for, and how long a constant input would show it."""
+    """Return a line on creep that the order has no pole for, and how long to hold an input to measure it."""
     taus = _LAGS * problem.seconds
     error, linear, lags, drift = _slow_parts(chosen, problem, taus)
-    # by the spectrum of what the richest explanation leaves: creep itself would whiten itself away
+    # The richest hypothesis sets the spectrum; otherwise creep would be removed as coloured noise.
     white = whitener(project(error, np.column_stack([linear, *lags, drift]))[1])
 
     def score(*more: np.ndarray) -> float:
@@ -124,7 +124,7 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
         return criterion(project(white(error), white(columns))[1], columns.shape[1] - linear.shape[1])
 
     plain, line = score(), score(drift)
-    scores = [score(lag) + np.log(len(error)) for lag in lags]  # tau is a number too
+    scores = [score(lag) + np.log(len(error)) for lag in lags]  # tau is a parameter too
     best = int(np.argmin(scores))
     richer = project(error, np.column_stack([linear, lags[best], drift]))[1]
     moved = float(np.std(project(error, linear)[1] - richer))
@@ -132,7 +132,7 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
     if min(scores[best], line) > plain - _SURE or moved < _SEEN * spread:
         return []
     part, tau = f"{100 * moved / spread:.2g} % of the signal", taus[best]
-    if scores[best] > line - _SURE:  # a line in time per record, which has nothing to do with the drive, does as well
+    if scores[best] > line - _SURE:  # a line in time per record, independent of the input, does as well
         return [
             f"A slow drift makes up {part}: creep slower than the recordings, or the sensor. Hold a constant input for "
             f"{3 * problem.seconds:.2g} s to tell them apart."
@@ -145,7 +145,7 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
 
 
 def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Average over blocks, records end to end: what is left, (T,); the linear numbers' columns; lags; lines in time."""
+    """Return block means over all records: residual (T,); columns of the linear parameters; lags; lines in time."""
     params, structure = chosen.params, chosen.structure
     solved, parts = solve(params, structure, problem), []
     for k, weight in enumerate(problem.weight):
@@ -160,7 +160,7 @@ def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[
         apart[k] = time[:, None]
         columns = [solved.residuals[k], driven(params, structure, problem, k), zeros, *lags, *apart]
         wide = np.column_stack(columns)
-        # what the record's own initial state takes up tells of no creep
+        # A part that the record's own initial state can explain is not evidence of creep.
         wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0] if own.size else wide
         parts.append(block_means(wide, weight, max(len(weight) // _BLOCKS, 1))[0])
     rows, n = np.concatenate(parts), 2 + max(problem.free_zeros, 1)

@@ -1,11 +1,12 @@
-"""Test what a model leaves: is it white, and does the drive still show in it?
+"""Test whether a model's residual is white, and whether it is uncorrelated with the input.
 
     r_e(k) = sum_t e_t e_{t+k} / sum_t e_t^2                            within +- z / sqrt(N) where e is white
     r_eu(k) = sum_t u_t e_{t+k} / sqrt(sum e^2 sum u^2)                 within +- z sqrt(sum_j r_e(j) r_u(j) / N)
-                                                                        where e and u have nothing to do with each other
+                                                                        where e and u are independent
 
-u: the force about its mean; N: samples that count; z: what the largest of all K lags exceeds in 5 % of cases,
-Phi^-1(1 - 0.025 / K). What a model lacks shows on both sides of zero, since a drive resembles its own past.
+u: the force about its mean; N: samples that count; z: the largest of all K lags exceeds it in 5 % of cases,
+Phi^-1(1 - 0.025 / K). A missing effect shows at lags on both sides of zero, because an input is correlated with its own
+past.
 Source: Ljung (1999), System Identification, 16.6; Bartlett (1946) for the band of the second.
 """
 
@@ -19,18 +20,18 @@ from scipy.stats import norm
 from .output_error import Problem, Structure, poles_of, solve
 
 _LAGS = 40  # on either side
-_PERIODS = 2.0  # of the slowest oscillation, or time constants, that they span
-_MEMORY = 20  # times as many lags count in the band: e and u may be correlated for long
+_PERIODS = 2.0  # of the slowest oscillation (or time constant) covered by the lags
+_MEMORY = 20  # times as many lags count in the band, because e and u may be correlated for long
 
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """Correlations of what the chosen model leaves, pooled over records.
+    """Correlations of the chosen model's residual, pooled over records.
 
     Attributes:
         lag: in s, shape (K,), from before zero to after it.
         own, drive: correlation of the residual with itself and with the force, shape (K,).
-        own_band, drive_band: half widths within which all lags stay in 95 % of cases where there is nothing to find.
+        own_band, drive_band: half widths that contain all lags in 95 % of cases without correlation.
     """
 
     lag: Float[np.ndarray, " lags"]
@@ -41,17 +42,17 @@ class ResidualTest:
 
     @property
     def white(self) -> bool:
-        """No lag but zero shows the residual's own past."""
+        """Return whether the residual is white: no lag but zero is correlated."""
         return bool((np.abs(self.own[self.lag != 0]) <= self.own_band).all())
 
     @property
     def independent(self) -> bool:
-        """No lag from zero on shows the drive: this order has taken up what a linear model can."""
+        """Return whether the residual is uncorrelated with present and past input: a linear model is sufficient."""
         return bool((np.abs(self.drive[self.lag >= 0]) <= self.drive_band).all())
 
 
 def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
-    """Correlate what a model leaves of all records with itself and with their forces."""
+    """Correlate the residual of all records with itself and with their forces."""
     period = 2 * np.pi / float(np.abs(poles_of(params, structure)).min())
     shortest = min(len(d) for d in problem.drive)
     spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
@@ -81,7 +82,7 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
 
 
 def _correlated(a: np.ndarray, b: np.ndarray, far: int) -> Float[np.ndarray, " lags"]:
-    """sum_t a_t b_{t+k} for k = -far ... far."""
+    """Return sum_t a_t b_{t+k} for k = -far ... far."""
     size = next_fast_len(len(a) + far, real=True)  # padded: no lag wraps around
     whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
     return np.concatenate([whole[-far:], whole[: far + 1]])

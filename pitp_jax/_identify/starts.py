@@ -1,4 +1,4 @@
-"""Where the output-error fit of one order starts, where no frequency response tells: ARX with instruments, and a grid.
+"""Starts of the output-error fit when no frequency response is available: ARX with instruments, and a grid.
 
     y_t + a_1 y_{t-1} + ... + a_n y_{t-n} = b_0 u_t + ... + b_n u_{t-n} + c,      theta = (Z'X)^-1 Z'y
     Z = X at first, then X with y replaced by the model's own run (instrumental variables: no bias by noise)
@@ -19,12 +19,12 @@ from .output_error import FASTEST, Problem, Structure, solve
 _SIZES = (1, 4, 16)
 _ROUNDS = 4
 _GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
-_APART = 0.3  # of a logarithm: starts nearer than that lead to the same place
-_DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples, from which a delay is sought
+_APART = 0.3  # of a logarithm: nearer starts lead to the same minimum
+_DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
 
 
 def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray], most: int) -> list[np.ndarray]:
-    """Parameters from these sets of poles (rad/s), with several delays where one is fitted: the best few."""
+    """Return the best few starting parameters from these sets of poles (rad/s), with several delays if fitted."""
     scored = []
     for some in roots:
         if len(some) != structure.order or not np.isfinite(some).all():
@@ -41,14 +41,14 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
 
 
 def cost_of(params, structure: Structure, problem: Problem) -> float:
-    """Sum of squares of what these leave; infinite where they run away."""
+    """Return the sum of squares of the residual; infinite if the response diverges."""
     with np.errstate(all="ignore"):
         rows = solve(params, structure, problem).rows
     return float(rows @ rows) if np.isfinite(rows).all() else np.inf
 
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
-    """Sets of poles (rad/s) of an order."""
+    """Return guesses of the poles (rad/s) of an order, one array each."""
     tried = list(_arx(order, problem))
     longest = max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
@@ -63,7 +63,7 @@ def guesses(order: int, problem: Problem) -> list[np.ndarray]:
 
 
 def one_more(logs: np.ndarray) -> list[np.ndarray]:
-    """The poles of a lower order and a slow or a fast one beside them (rad/s)."""
+    """Return sets of poles (rad/s) of the next higher order: the known poles plus a slow or a fast one."""
     known = poles(logs)
     size = np.abs(known)
     return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]
@@ -78,7 +78,7 @@ def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
 
 
 def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndarray | None:
-    """Poles (rad/s) of the ARX model with instruments; None where there is none."""
+    """Return poles (rad/s) of the ARX model with instruments; None if it cannot be solved."""
     series = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         seen = np.flatnonzero(weight)
@@ -97,7 +97,7 @@ def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndar
             regressors, target = _regressors(force, output, order), output[order:]
             instruments = regressors
             if theta is not None:
-                # the model's own run is as correlated with the regressors, and with no noise of the output
+                # the model's own run is as correlated with the regressors, and free of the output's noise
                 run = np.asarray(lfilter(theta[: order + 1], np.append(1.0, theta[order + 1 :]), force - force[0]))
                 instruments = _regressors(force, run, order)
             normal += (instruments - instruments.mean(0)).T @ (regressors - regressors.mean(0))

@@ -1,11 +1,11 @@
-"""Whether a pole on the right of the axis explains records that no stable model does: a plant that a loop holds up.
+"""Test whether an unstable pole explains records that no stable model does: a plant held by a control loop.
 
     P(d/dt) x = F,    x(t) = sum_i r_i m_i(t) + c_i n_i(t),    m_i' = p_i m_i + F
     n_i = e^{p_i t}  where Re p_i < 0,    e^{p_i (t - T)}  where Re p_i > 0      (`bounded_response`)
 
-A run forward in time leaves every range within a few 1 / Re p. The motion that was recorded did not: it is the one
-solution that both ends of the record bound, and a mode on the right is computed from the end back. Poles by least
-squares from a grid; inside, linearly, every record's gain, zero and free responses.
+A simulation forward in time diverges within a few 1 / Re p, but the recorded motion did not. The recorded motion is the
+one solution that is bounded at both ends of the record; an unstable mode is computed backwards from the end. Poles by
+least squares from a grid; inside, linearly, every record's gain, offset and free responses.
 """
 
 from collections.abc import Iterator, Sequence
@@ -17,14 +17,14 @@ from .linear_ode import bounded_response
 from .output_error import Problem, inverse
 
 _ORDERS, _GRID = (1, 2, 3), 4
-_GROWS = 3.0  # e-fold over the record, at least: less is a drift, or no damping
-_FRACTION = 0.5  # of what the stable model leaves: free ends alone buy less
+_GROWS = 3.0  # e-folds over the record, at least; less is drift or a missing damping
+_FRACTION = 0.5  # of the stable model's residual; free end values alone reduce it by less
 
 
 def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | None:
-    """The pole on the right (rad/s) of a model that leaves at most half of `stable`, and what it leaves; else None.
+    """Return the unstable pole (rad/s) of a model that halves the residual `stable`, and its residual; otherwise None.
 
-    `stable`: rms that the stable model leaves, of the output's.
+    `stable`: residual of the stable model, as a fraction of the output's rms.
     """
     best = None
     for order in _ORDERS:
@@ -32,15 +32,15 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
             scored = sorted((_cost(p, pair, problem), tuple(p)) for p in _starts(order, pair, problem))
             fit = least_squares(_residual, scored[0][1], args=(pair, problem), x_scale=0.5, max_nfev=20)
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
-            # a pole beyond the drive's band is an output ahead of its drive, one that hardly grows a drift
+            # a pole above the input's band means an output ahead of its input; one that hardly grows is drift
             seen = pole.real * problem.seconds > _GROWS and abs(pole) < problem.omega
-            if seen and rms <= _FRACTION * (stable if best is None else best[1]):  # a higher order has to pay as well
+            if seen and rms <= _FRACTION * (stable if best is None else best[1]):  # a higher order must halve it again
                 best = complex(pole), rms
     return best
 
 
 def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
-    """Logarithms of the sizes of the poles on the right and on the left, ascending; of a pair its real part first."""
+    """Yield starting values: logarithms of the unstable pole (or pair: real, imaginary part), then the stable ones."""
     grid = np.log(np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID))
     others = [np.sort(grid)[k : k + order - 1 - pair] for k in range(_GRID - (order - 1 - pair) + 1)]
     for size in grid:
@@ -49,7 +49,7 @@ def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
 
 
 def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
-    """The pole or the pair on the right first (rad/s)."""
+    """Return the poles (rad/s), the unstable pole or pair first."""
     sizes = np.exp(np.asarray(params))
     if not pair:
         return np.append(sizes[0], -sizes[1:]).astype(complex)
@@ -57,7 +57,7 @@ def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
 
 
 def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
-    """What is left of every record, over the square root of all samples."""
+    """Return the residual of all records, divided by the square root of the number of samples."""
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         force = drive**2 if problem.square else drive

@@ -1,9 +1,9 @@
-"""Inversion: a model and a wanted motion in, the voltage out (paper, eq. 13).
+"""Inversion: computes the voltage for a wanted motion of a model (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)
 
-Verb: `feedforward` (limits, lead-in, a check by rollout). `equation` is eq. 13 itself, `stream` takes it in blocks,
-`realtime` a sample at a time, `discrete` inverts the decoder's own steps, `pi_control` closes the loop (Fig. 14).
+Verb: `feedforward` (limits, lead-in, a check by rollout). `equation` is eq. 13 itself, `stream` computes it in blocks,
+`realtime` one sample at a time, `discrete` inverts the decoder's own steps, `pi_control` closes the loop (Fig. 14).
 """
 
 from .discrete import discrete_inverse as discrete_inverse

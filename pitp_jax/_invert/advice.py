@@ -1,7 +1,7 @@
-"""Warn of what the user should know of a target and of the plan for it: one line each, with its extent and the remedy.
+"""Warnings about a target and its plan, one line each with extent and remedy.
 
-Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs
-100 rms(x * g_s - x) / range; the least width s that leaves no corner is reported with that figure.
+Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs 100 rms(x * g_s -
+x) / range; the smallest width s without a remaining corner is reported with that error.
 """
 
 import numpy as np
@@ -14,15 +14,15 @@ from .._table.quantity import Units
 from .limits import Limits
 from .target_path import Path
 
-_JUMP = 0.3  # a change of x^(n-1) in one sample by this fraction of its range is a corner, not motion
+_JUMP = 0.3  # a change of x^(n-1) in one sample by this fraction of its range is a corner
 _WORTH_A_LINE = 0.01  # fraction of the target
-_FAR = 0.1  # of the largest voltage: a target that begins beyond is reported
+_FAR = 0.1  # of the largest voltage: a target that starts beyond it is reported
 _WIDTHS = 12  # doublings of the rounding, from one sample on
 
 
 def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
-    """Compute the fraction of samples where x^(n-1) jumps by more than 30 % of its range: corners and noise."""
-    # x^(n) is what the force must follow: where x^(n-1) jumps, it is an impulse that no voltage makes
+    """Return the fraction of samples where x^(n-1) jumps by more than 30 % of its range: corners and noise."""
+    # the force follows x^(n): where x^(n-1) jumps, it is an impulse that no voltage can produce
     x = wanted
     for _ in range(model.order - 1):
         x = np.diff(x) / dt
@@ -31,9 +31,9 @@ def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
 
 
 def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float] | None:
-    """Find the width (s) of the narrowest Gaussian that leaves no corner, and its change of the target, % of range."""
+    """Return the width (s) of the narrowest Gaussian without corners, and its change of the target, % of range."""
     for width in 2.0 ** np.arange(_WIDTHS):
-        if 8 * width > len(wanted):  # such a filter would hand back a mean, not a motion
+        if 8 * width > len(wanted):  # such a filter would return a mean, not a motion
             break
         round_ = gaussian_filter1d(wanted, width, mode="nearest")
         if roughness(round_, dt, model) == 0:
@@ -42,7 +42,7 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
 
 
 def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path, units: Units) -> tuple[str, ...]:
-    """Write lines about a target before it is planned."""
+    """Return warnings about a target before it is planned."""
     warnings = ()
     if target.dt > 1.01 * model.dt:
         warnings += (
@@ -68,7 +68,7 @@ def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path, unit
 
 
 def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
-    """Write a line where the first sample of the target is played far from the input at the ends."""
+    """Return a line if the first sample of the target needs a voltage far from the input at the ends."""
     if abs(voltage - limits.ends) <= _FAR * limits.high:
         return ()
     shown = limits.units.input
@@ -81,7 +81,7 @@ def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
 def on_smoothing(
     model: Model, wanted: np.ndarray, dt: float, percent: float, missed: float, units: Units
 ) -> tuple[str, ...]:
-    """Write a line on what is played of a target that is not smooth; `missed`: rms, base unit."""
+    """Return a line on the smoothing of a target with corners or noise; `missed`: rms, base unit."""
     if roughness(wanted, dt, model) == 0 or not percent > 0:
         return ()
     return (
@@ -91,7 +91,7 @@ def on_smoothing(
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """Write a line each where more than a hundredth of the target cannot be played as asked."""
+    """Return warnings if over 1 % of the target needs an impossible force, or is clipped by a limit."""
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (
@@ -107,7 +107,7 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
 
 
 def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, ...]:
-    """Write lines where the target goes farther than the membrane may, or the plan does in spite of the bound."""
+    """Return lines if the target exceeds the displacement limit, or the plan does despite the limit."""
     if not np.isfinite(limits.farthest):
         return ()
     shown, lines = limits.units.limit, ()

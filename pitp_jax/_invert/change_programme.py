@@ -1,11 +1,11 @@
-"""Find the best change of a voltage where its rollout is linear: `linearised` and the limits as a `stage_qp` programme.
+"""Compute the best change of a voltage for a linearised rollout with limits, as a `stage_qp` programme.
 
     y_t = y_t(u) + C_t z,   u_t + c + j d within its range,   |u_{t+1} - u_t + d| <= slew dt,   |y_t| <= farthest
 
-Lengths count in what the first voltage missed, voltages in U. The change is linear over stages of a fortieth of the
-resonance's period at most, of one sample where the horizon is short: its number of stages sets the time a step takes.
-Where F = u^2 has no slope, at u = 0, that of a small voltage is taken: a step that way is not barred, and what it
-brings is for the rollout to show. A delay moves all samples of the voltage against those of the reading.
+Displacements are in units of the first voltage's error, voltages in units of U. The change is linear over stages of at
+most a fortieth of the resonance's period (one sample if the horizon is short); the number of stages sets the time of a
+step. Where F = u^2 has no slope, at u = 0, the slope of a small voltage is used: the step is allowed, and the rollout
+decides whether it helps. A delay shifts all voltages against the readings.
 """
 
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ from .._simulate.prediction import FAR
 from .linearised import linearise
 from .stage_qp import StageQP, solve_stage_qp
 
-_STAGES = 4000  # about, as long as a stage is no longer than a
-_PER_PERIOD = 40  # th of the resonance's period
-_FLOOR = 0.03  # of U: the least film voltage linearised about
-_FREE = 4.0  # a bound in units of U that never holds
-_SLACK = 0.02  # of U, to begin with
-_MARGIN = 1e-3  # of the farthest
+_STAGES = 4000  # about, as long as a stage is shorter than the resonance's period
+_PER_PERIOD = 40  # divided by this number
+_FLOOR = 0.03  # of U: the lowest film voltage of a linearisation
+_FREE = 4.0  # a bound in units of U that is never active
+_SLACK = 0.02  # of U, initially
+_MARGIN = 1e-3  # of the limit on the displacement
 
 
 @dataclass(frozen=True)
 class Wish:
-    """What is wanted of a voltage, and what it must keep.
+    """The wanted reading and the limits on its voltage.
 
     Attributes:
         reading: in model coordinates, m, shape (T,).
-        counted: where that is asked for, shape (T,).
+        counted: where it is wanted, shape (T,).
         dt: sampling interval, s.
         low, high: V, shape (T,).
         slew: V/s.
         budget: total variation, V.
         start: scaled state at the first sample.
-        farthest: largest reading either way, m.
+        farthest: largest |reading|, m.
     """
 
     reading: np.ndarray
@@ -54,13 +54,13 @@ class Wish:
 
     @property
     def unit(self) -> float:
-        """Range U of the voltages, V."""
+        """Return the range U of the voltages, V."""
         return float(self.high.max() - self.low.min())
 
 
 @dataclass(frozen=True)
 class Played:
-    """A voltage, V, the states of its rollout and its reading, m; nothing of it is scaled by the wish."""
+    """A voltage (V), the scaled states of its rollout, and its reading (m)."""
 
     voltage: np.ndarray
     states: np.ndarray
@@ -90,7 +90,7 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
 
 
 class _Cut:
-    """Samples in rows of one stage; behind the last one a fill."""
+    """A function that arranges samples in rows of one stage, with a fill value after the last sample."""
 
     def __init__(self, stages: int, length: int):
         self.stages, self.length = stages, length
@@ -102,26 +102,26 @@ class _Cut:
 
 
 def _padded(stages: int) -> int:
-    """Round up by an eighth at most, so that horizons of about the same length share a compiled program."""
+    """Round up by an eighth at most, so that horizons of similar length share a compiled program."""
     unit = 2 ** max(int(np.log2(stages)) - 3, 3)
     return -(-stages // unit) * unit
 
 
 def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linearise in m along the rollout (`Stages`), from the first sample on that the voltage reaches."""
+    """Linearise the reading (m) along the rollout (`Stages`), from the first sample that the voltage affects."""
     u = jnp.asarray(now.voltage)
     film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))
-    if model.input_map.one_sided:  # the slope of a square at 0 is 0: a film at rest would never be moved
+    if model.input_map.one_sided:  # the slope of a square at 0 is 0, so a film at rest would never move
         film = np.maximum(film, _FLOOR * wish.unit)
     pairs = np.stack([film, np.append(film[1:], film[-1])], -1)[late:]
-    sound = np.where(np.abs(now.states[late:]) < FAR, now.states[late:], 0.0)  # behind the target it may run away
+    sound = np.where(np.abs(now.states[late:]) < FAR, now.states[late:], 0.0)  # after the target it may diverge
     states = jnp.asarray(cut(sound, 0.0)), jnp.asarray(cut(pairs, wish.unit))
     onward, reading = linearise(model, *states, wish.dt, jnp.asarray(wish.unit))
     return np.asarray(onward), np.asarray(reading) * model.scales.state[0]
 
 
 def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
-    """Write the programme; a stage without a past comes first, whose control is the first slope."""
+    """Build the programme, with an initial stage whose control is the first slope."""
     v = now.voltage / wish.unit
     counted = cut(wish.counted[late:].astype(float), 0.0)
     C = reading * counted[..., None] / size
@@ -151,12 +151,12 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
 
 
 def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np.ndarray):
-    """Write rows on z and their bounds: voltages, the slope in units of the slew's, readings where they are bounded."""
+    """Return rows on z and their bounds: voltages, slopes in units of the slew limit, readings if limited."""
     v, step = now.voltage / wish.unit, min(wish.slew * wish.dt / wish.unit, 1.0)
     n, j = reading.shape[-1], np.arange(cut.length)
     G = np.zeros((cut.stages, cut.length + 1, n))
     G[:, :-1, -2], G[:, :-1, -1], G[:, -1, -1] = 1.0, j, 1 / step
-    # one slope serves all samples of a stage: the tightest of their bounds counts
+    # one slope holds for all samples of a stage, so the tightest bound counts
     slope_low, slope_high = cut(-1 - rise / step, -_FREE).max(1), cut(1 - rise / step, _FREE).min(1)
     low = np.concatenate([cut(wish.low / wish.unit - v, -_FREE), slope_low[:, None]], 1)
     high = np.concatenate([cut(wish.high / wish.unit - v, _FREE), slope_high[:, None]], 1)
@@ -170,5 +170,5 @@ def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np
 
 
 def second_differences(u: np.ndarray) -> np.ndarray:
-    """Compute second differences at every sample, u before the first as at the first."""
+    """Compute second differences at every sample, with u before the first equal to the first."""
     return np.diff(np.concatenate([np.full(2, u[0]), u]), 2)

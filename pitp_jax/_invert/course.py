@@ -1,12 +1,12 @@
-"""Plan the course of a feedforward: from rest along the target and back, by eq. 13, shooting, or the nearest motion.
+"""Plan a feedforward from rest along the target and back, by eq. 13, shooting, or the nearest motion.
 
-    r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit bites
-    min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         where one does
+    r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit is active
+    min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         otherwise
 
-Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the
-reference until the rollout meets the target. Where a limit cuts the voltage, moving the reference would tear it at the
-cut's edges. The nearest motion's total variation is at most 1.2 times that of eq. 13 cut at the limits, and it never
-misses by more.
+Eq. 13 inverts the continuous equation; the decoder holds its tokens over a step, so a few iterations move the reference
+until the rollout meets the target. If a limit clips the voltage, moving the reference would make it jump where the
+clipping starts and ends. The nearest motion's total variation is at most 1.2 times that of eq. 13 clipped at the
+limits, and its error is never larger.
 """
 
 from dataclasses import dataclass, replace
@@ -27,15 +27,15 @@ from .limits import Limits, limit_slew, travel
 from .nearest_motion import Wish, nearest_motion
 from .target_path import Path
 
-_TRAVEL = 1.2  # total variation allowed, of that of eq. 13 cut at the limits
-_HEADROOM = 0.95  # of it in the first try
+_TRAVEL = 1.2  # largest total variation, relative to that of eq. 13 cut at the limits
+_HEADROOM = 0.95  # fraction of it in the first try
 _TRIES = 3
-_INTERIOR = 1e-6  # an interior point stops short of a limit by less
+_INTERIOR = 1e-6  # an interior point stops closer to a limit than this
 
 
 @dataclass(frozen=True)
 class Played:
-    """A voltage with its ramp down, V, and the reading of its rollout, m, at least up to the target's end."""
+    """A voltage with its ramp down (V), and the reading of its rollout (m), at least up to the target's end."""
 
     voltage: np.ndarray
     reading: np.ndarray
@@ -43,7 +43,7 @@ class Played:
 
 @dataclass(frozen=True)
 class Planned(Played):
-    """Eq. 13 cut at the limits: features, and where no voltage makes its force or a limit cuts it."""
+    """The solution of eq. 13 clipped at the limits: features, and where force or voltage were infeasible."""
 
     features: np.ndarray
     infeasible: np.ndarray
@@ -52,7 +52,7 @@ class Planned(Played):
 
 @dataclass(frozen=True)
 class Course:
-    """A target on its way and back, for one model (its substeps set) from one scaled state at one age (s)."""
+    """A target with its way from and to rest, for one model (substeps set), scaled initial state and age (s)."""
 
     model: Model
     path: Path
@@ -62,80 +62,80 @@ class Course:
     start: Float[Array, " state"]
 
     def missed(self, played: Played) -> float:
-        """Compute the rmse on the target's own samples, m."""
+        """Compute the rms error on the target's own samples, m."""
         where = self.path.target
         return rmse(played.reading[where], self.path.displacement[where])
 
     def error(self, played: Played) -> float:
-        """Compute the error by eq. 15, % of range; nan without a range."""
+        """Compute the error by eq. 15, % of range; nan if the range is zero."""
         where = self.path.target
         return e_rms_percent(played.reading[where], self.path.displacement[where])
 
     def beyond(self, played: Played) -> bool:
-        """Tell whether it goes farther than the membrane may."""
-        # not <=, rather than >: a rollout that is no number is beyond
+        """Return whether the displacement exceeds its limit."""
+        # not <= instead of >, so that nan counts as exceeding
         return not np.abs(played.reading).max() <= self.limits.farthest
 
     def play(self, voltage: np.ndarray) -> np.ndarray:
-        """Roll a voltage out: its reading, m; in float64, for derivatives of float32's rounding are volts."""
+        """Simulate a voltage in float64; return the reading, m. Rounding of float32 derivatives is several volts."""
         with jax.enable_x64(True):
             model, start = in_double((self.model, self.start))
             states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), self.dt, start[None])[0]
             return np.asarray(ports.readings(model, states)) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:
-        """Solve eq. 13 along a reference, cut at the limits, and add the ramp down."""
+        """Solve eq. 13 along a reference, clip it at the limits, and add the ramp down."""
         model, motion = self.model, reference
-        if model.effects:  # the target is what the sensor shall read; the equation is of the motion behind it
+        if model.effects:  # the target is a sensor reading, and the equation needs the motion itself
             scale = model.scales.state[0]
             motion = np.asarray(ports.moves(model, jnp.asarray(reference / scale), self.dt), np.float64) * scale
         equation = scaled_equation(model, fast_derivatives(motion, self.dt, model.order))
         force, voltage, features = invert_path(model, equation, self.dt, jnp.asarray(self.age, equation.dtype))
         u, saturated = limit_slew(np.asarray(voltage, np.float64), self.limits, self.dt)
         full = np.append(u, self.path.ramp_down(u[-1], self.limits, self.dt))
-        reading = self.play(full if np.isfinite(self.limits.farthest) else u)  # the ramp counts for a stroke alone
+        reading = self.play(full if np.isfinite(self.limits.farthest) else u)  # the ramp counts only for the stroke
         return Planned(full, reading, np.asarray(features), np.asarray(unreachable(model, force, self.dt)), saturated)
 
     def best(self, cut: Planned, shots: int) -> Played:
-        """Shoot as long as it helps; where a limit bites, take the nearest motion, beginning with the best shot."""
+        """Repeat shooting while it helps; if a limit is active, take the nearest motion, started from the best shot."""
         wanted = reference = self.path.displacement
         most = _TRAVEL * travel(cut.voltage)
         best = now = cut
         bites = shots > 0 and bool(cut.infeasible.any() or cut.saturated.any())
         for _ in range(shots):
             missed = wanted - now.reading[: len(wanted)]
-            # where the voltage is cut, asking for more changes nothing there and tears the edges of the cut
+            # where the voltage is cut, a larger reference has no effect and distorts the edges of the cut
             reference = reference + np.where(now.saturated | ~np.isfinite(missed), 0.0, missed)
             now = self.plan(reference)
             bites = bites or bool(now.saturated.any())
             if not self.missed(now) < self.missed(best) or (bites and travel(now.voltage) > _HEADROOM * most):
                 break
             best = now
-        if bites and travel(best.voltage) > most:  # shot at before a limit bit
+        if bites and travel(best.voltage) > most:  # shots taken before a limit was active
             best = cut
         return self.nearest(cut, best, most) if bites or self.beyond(best) else best
 
     def nearest(self, cut: Planned, best: Planned, most: float) -> Played:
-        """Find the nearest motion of total variation `most`, V; eq. 13's or shooting's own where nothing is won."""
+        """Return the nearest motion of total variation `most`, V; eq. 13's or the best shot if it is not better."""
         wish, near = self._wish(best, _HEADROOM * most), best
         for _ in range(_TRIES):
             near = self._kept(nearest_motion(self.model, wish, best.voltage), wish)
             turned, reached = travel(near.voltage) / most, np.abs(near.reading).max() / self.limits.farthest
             if turned <= 1 and not reached > 1:
                 break
-            # of what came out above its bound that much less is asked for
+            # reduce what exceeded its bound by the same factor
             wish = replace(wish, budget=wish.budget / max(turned, 1.0), farthest=wish.farthest / max(reached, 1.0))
         if (turned := travel(near.voltage)) > most:
-            # total variation is convex: a mixture has no more than the mixed ones, weighed alike
+            # total variation is convex, so a mixture has at most the same mixture of total variations
             part = (most - travel(best.voltage)) / (turned - travel(best.voltage))
             near = self._kept(best.voltage + part * (near.voltage - best.voltage), wish)
-        if self.beyond(best):  # the membrane comes first: the smallest stroke, whatever it misses
+        if self.beyond(best):  # the displacement limit comes first: the smallest stroke, whatever its error
             return min((near, best, cut), key=lambda p: np.nan_to_num(np.abs(p.reading).max(), nan=np.inf))
         better = self.missed(near) < self.missed(best) and travel(near.voltage) <= most * (1 + _INTERIOR)
         return near if better and not self.beyond(near) else best
 
     def _wish(self, begun: Planned, budget: float) -> Wish:
-        """Write the target within its horizon; behind it the voltage comes to its end, below a raised cosine."""
+        """Return the target within its horizon; after it the voltage returns to its end below a raised cosine."""
         last, count = self.path.target.stop, len(begun.voltage)
         cosine = 0.5 * (1 + np.cos(np.pi * np.arange(1, count - last + 1) / (count - last)))
         inside = np.ones(last)
@@ -144,7 +144,7 @@ class Course:
         tail = np.append(np.full(last, ends), begun.voltage[last:])
         low = np.minimum(ends + (limits.low - ends) * down, tail)
         high = np.maximum(ends + (limits.high - ends) * down, tail)
-        near = min(most, limits.unnoticed) / 10  # a programme with an inside
+        near = min(most, limits.unnoticed) / 10  # so that the programme has an interior
         low[0], high[0] = max(low[0], ends - near), min(high[0], ends + near)
         counted = np.zeros(count, bool)
         counted[self.path.target] = True
@@ -161,8 +161,8 @@ class Course:
         )
 
     def _kept(self, voltage: np.ndarray, wish: Wish) -> Played:
-        """Play a voltage, to the last bit within the limits."""
-        # first outward by what an interior point stops short: a limit that is asked for is then met exactly
+        """Play a voltage, clipped exactly to the limits."""
+        # First move outward by the interior point's distance, so that a requested limit is met exactly.
         middle = (self.limits.low + self.limits.high) / 2
         outward = middle + (1 + _INTERIOR) * (voltage - middle)
         u, _ = limit_slew(np.clip(outward, wish.low, wish.high), self.limits, self.dt)

@@ -3,8 +3,8 @@
 With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 
     zoh:  one force a step; the row of x^(n-1) gives it at once.
-    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt) and is blind to
-          the alternating mode; the row of x^(n-2) sees that mode, to eps/(w dt)^2. All u are solved for at once by
+    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt), but not
+          the alternating mode; the row of x^(n-2) fixes that mode, to eps/(w dt)^2. All u are solved for at once by
           Gauss-Newton on both rows, each weighted by its rounding error: a tridiagonal system a step. A recursion
           u_t -> u_{t+1} through the first row alone would be marginally stable.
 """
@@ -49,12 +49,12 @@ def discrete_inverse(
         model: as rolled out.
         states: shape (T, n + K).
         dt: sampling interval, s.
-        first: u_0 in V where it is known (foh of order 1 without memory needs it: its only row is blind to the
+        first: u_0 in V if known (foh of order 1 without memory needs it, because its only row does not fix the
             alternating mode).
         sweeps: Gauss-Newton iterations (foh).
 
     Returns:
-        Film voltage, which is the drive's where the model has no lag (else see `drive.undo`).
+        Film voltage, equal to the input if the model has no lag (otherwise see `drive.undo`).
         zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
@@ -76,11 +76,11 @@ def discrete_inverse(
         raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
     free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
     n = model.order
-    moved = jnp.diff(states, axis=0)  # exact for neighbouring states: no rounding is added to the decoder's own
+    moved = jnp.diff(states, axis=0)  # exact for neighbouring states, so no rounding is added to the decoder's own
     top = moved[:, n - 1] - free[:, n - 1]
     if model.hold == "zoh":
         return film_voltage(model, top / gains[:, :, n - 1].sum(1))
-    # of order 1 there is no x^(n-2): the first memory, a lag of x, sees the alternating mode instead
+    # at order 1 there is no x^(n-2): the first memory, a lag of x, shows the alternating mode instead
     second = n - 2 if n > 1 else (n if model.memory.size else None)
     below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
     return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
@@ -95,7 +95,7 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
     rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
     if lower is not None:
         total = lower[1].sum(1)
-        # both rows are rounded alike, so the one that answers less weighs less
+        # both rows have the same rounding error, so the less sensitive one gets less weight
         weight = jnp.median(jnp.abs(total / top_gain.sum(1))) ** 2
         rows.append((lower[0] / total, lower[1] / total[:, None], weight))
     known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
@@ -113,19 +113,19 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
             by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
             equations.append((missed, by_now, by_later, weight))
         u = u + _move(equations, anchor, anchor * (known - u[0]))
-        return voltage(force(u)), None  # of the two that a square has, the positive one
+        return voltage(force(u)), None  # the positive one of the two roots
 
     start = voltage(jnp.append(rows[0][0], rows[0][0][-1:])) + 1e-3  # where a square's slope is not zero
     return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit
 
 
 def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
-    """Solve for the Gauss-Newton move of all voltages: (missed, by this voltage, by the next, weight) of every step.
+    """Solve for the Gauss-Newton step of all voltages, from (residual, two derivatives, weight) of every step.
 
-    `anchor`, `pull`: weight and weighted error of the first voltage, where it is known.
+    `anchor`, `pull`: weight and weighted error of the first voltage, if it is known.
     """
     count, dtype = len(equations[0][0]), equations[0][0].dtype
-    # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays as it is
+    # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays unchanged
     diagonal, beside, right = jnp.full(count + 1, 1e-9, dtype), jnp.zeros(count, dtype), jnp.zeros(count + 1, dtype)
     for missed, by_now, by_later, weight in equations:
         diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
@@ -143,11 +143,11 @@ def along_motion(
 
         s_{t+1} = step(s_t, V_t, V_{t+1})       rows x^(n-1) and x^(n-2), each over what a force moves it by
 
-    For any model: steps are differentiated as they are, with substeps and effects.
+    It works for any model: steps are differentiated with substeps and effects.
 
     Args:
-        model: what acts on its voltage before the film is the caller's.
-        force: scaled, by eq. 13: where the iteration begins.
+        model: the caller applies the effects between voltage and film.
+        force: scaled, by eq. 13: the start of the iteration.
         features: S and memories along the motion, scaled.
         dt: sampling interval, s.
         sweeps: Gauss-Newton iterations.
@@ -160,7 +160,7 @@ def along_motion(
     model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
     states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
     n, dtype = model.order, states.dtype
-    # of order 1 there is no x^(n-2): the first memory sees the alternating mode instead, if there is one
+    # at order 1 there is no x^(n-2): the first memory, if any, shows the alternating mode instead
     rows = [n - 1, *([n - 2] if n > 1 else [n] if model.memory.size else [])]
     unit = model.input_map.voltage(jnp.asarray(model.scales.force, dtype))
 
@@ -170,7 +170,7 @@ def along_motion(
 
     one, square = jnp.ones((), dtype), model.input_map.one_sided
     gain = jax.jvp(lambda v: after(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
-    weight = (gain / gain[0]) ** 2  # all rows are rounded alike
+    weight = (gain / gain[0]) ** 2  # all rows have the same rounding error
 
     def sweep(v, _):
         each = states[:-1], v[:-1], v[1:]

@@ -1,4 +1,4 @@
-"""Invert the equation: the drive voltage along a motion (paper, eq. 13).
+"""Invert the equation of motion: compute the voltage along a motion (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)   (e.g. V + tau V')
 
@@ -18,11 +18,11 @@ from .._simulate import ports
 from .._simulate.decoder import film_voltage
 
 _ROUNDING = 1e-6  # of the largest force
-_HUGE = 1e3  # of the training force: what stands for a force no field makes
+_HUGE = 1e3  # of the training force: replaces an infeasible force
 
 
 def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]):
-    """Evaluate eq. 13 before the root: the scaled force at each instant, from scaled [x, ..., x^(n)] and memories."""
+    """Compute the scaled force of eq. 13 at each instant, from scaled [x, ..., x^(n)] and memories."""
     rows = list(equation.T)
     return equation_force(model, model.encoder.over()([*rows[:-1], *memory.T]), rows)[0]
 
@@ -31,7 +31,7 @@ def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Flo
 def force_and_voltage(
     model: Model, equation: Float[Array, "time tokens"], dt: float, start: Float[Array, " memory"]
 ) -> tuple[Float[Array, " time"], Float[Array, " time"], Float[Array, "time memory"]]:
-    """Compute scaled force, drive voltage before limits (V) and memories along scaled [x, ..., x^(n)].
+    """Compute scaled force, voltage before limits (V) and memories along scaled [x, ..., x^(n)].
 
     Args:
         model: without effects.
@@ -49,7 +49,7 @@ def force_and_voltage(
 def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
     """Compute scaled force, voltage before limits (V) and features along a path from rest; vmap for a batch.
 
-    `age`: of the session at its first sample, s, which effects of the slow time read.
+    `age`: of the session at its first sample, s, for effects that depend on it.
     """
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     if not model.effects:
@@ -57,15 +57,15 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
         return force, voltage, jnp.concatenate([equation[:, :-1], memory], -1)
     features = jnp.concatenate([equation[:, :-1], model.memory.trajectory(equation[:, 0], dt, start)], -1)
     force = ports.required(model, equation, features, dt, age)
-    force = jnp.where(jnp.isnan(force), jnp.inf, force)  # beyond what saturates: without end, to its own side
+    force = jnp.where(jnp.isnan(force), jnp.inf, force)  # a force beyond saturation is infinite, with its own sign
     film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
     return force, ports.played(model, film, dt), features
 
 
 @jit
 def unreachable(model: Model, force: Float[Array, " time"], dt: float) -> Bool[Array, " time"]:
-    """Mark where no voltage makes this scaled force, or no effect of the drive lets it pass."""
-    # an actuator at rest asks for a force of zero, give or take a bit
+    """Return where no voltage gives this scaled force, or an effect on the voltage excludes it."""
+    # an actuator at rest needs a force of zero within rounding
     slack = _ROUNDING * jnp.abs(jnp.where(jnp.isfinite(force), force, 0.0)).max(initial=0.0)
     never = model.input_map.infeasible(force + slack)
     return never | ports.beyond(model, film_voltage(model, force), dt) if model.effects else never

@@ -1,10 +1,10 @@
-"""Feed forward: find the voltage that makes the model follow a target, by eq. 13 and shooting, or the nearest one.
+"""Feedforward: the voltage with which the model follows a target, by eq. 13 and shooting, or the nearest motion.
 
-    u = inverse(target), moved by what the rollout misses          where no limit bites
-    min |target - rollout(u)|^2 over the u within the limits       where one does                        (`course`)
+    u = inverse(target), corrected by the rollout's error   where no limit is active
+    min |target - rollout(u)|^2 over the u within the limits        otherwise                  (`course`)
 
-A smooth way leads up from zero volts (or the voltage that holds a machine where it stands) and back down, exactly.
-Every limit is kept; what the target asks beyond them is reported.
+The voltage rises smoothly from zero volts (or from the voltage that holds the actuator) and returns there exactly.
+Every limit is kept; the part of the target beyond them is reported.
 """
 
 from dataclasses import dataclass, replace
@@ -14,7 +14,8 @@ import numpy as np
 
 from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
-from .._model.fitted import Fitted, model_of
+from .._model.coverage import target_beyond, target_words
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.units import units_of
 from .._record.reading import Target
@@ -29,8 +30,8 @@ from .limits import limits_of
 from .target_path import at_rate_of_model, extend, settling
 
 _SHOTS = 6
-_MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage makes: turned over, and of its negative
-_WAITS = 100_000  # samples until a machine stands
+_MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage can reach: of the target, and of its negative
+_WAITS = 100_000  # samples until a machine stands still
 
 
 @dataclass(frozen=True, repr=False)
@@ -40,17 +41,17 @@ class Feedforward(Shown):
     Attributes:
         time: s, shape (M,): the target's clock, with the ramps before and after it.
         voltage: V, within the limits.
-        infeasible: True where the target asks for a force that no voltage makes (F < 0, by eq. 13).
-        saturated: True where it asks for more than a voltage or slew limit allows.
+        infeasible: True where the target needs a force that no voltage produces (F < 0, by eq. 13).
+        saturated: True where it exceeds a voltage or slew limit.
         target: True on the target's own samples.
-        wanted: the target there, as it was given; nan before and after.
-        outside_training_share: fraction of target samples outside the trained region.
-        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
-            the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
-            much that is missed.
-        equation_e_rms_percent: the same for eq. 13 cut at the limits, before shooting.
+        wanted: the given target there; nan before and after.
+        outside_training_share: the larger of two fractions: of the target's samples, outside the trained region; of
+            its energy, at frequencies and amplitudes that the model was not trained with.
+        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the
+            inversion, not a prediction of tracking. nan for a constant target: `warnings` has its error.
+        equation_e_rms_percent: the same for eq. 13 clipped at the limits, before shooting.
         warnings: one line each.
-        limits: those that were in force, in words.
+        limits: the applied limits, in words.
     """
 
     time: np.ndarray
@@ -78,23 +79,23 @@ def feedforward(
     shots: int = _SHOTS,
     resample: bool = True,
 ) -> Feedforward:
-    """Find the voltage that makes the model follow a target displacement, or come as near as the limits allow.
+    """Find the voltage with which the model follows a target displacement, as closely as the limits allow.
 
     Args:
         model: identified or trained.
-        target: wanted displacement in base units; its clock is the session's, which a drift reads.
-        max_voltage: V; default the largest voltage of the training records. A higher one warns.
+        target: wanted displacement in base units; its clock is the session's, on which a drift depends.
+        max_voltage: V; default the largest voltage of the training records. A higher value causes a warning.
         max_slew: V/s; default the largest slew of the training records.
-        max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
+        max_displacement: m from the displacement at 0 V in both directions, to protect the membrane; default none.
         zero: where the target is 0: "rest", at 0 V, growing as the actuator extends (the coordinate of every model;
             behind a linear input it has the sensor's sign); "sensor", the sensor's own readings; or what the target
             is at 0 V, in its base unit.
-        start_input: V at the first and the last sample, that which holds a machine where it stands.
-        shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
-        resample: take a target that is coarser than the model along a cubic spline, on the model's step.
+        start_input: V at the first and the last sample, which holds the actuator in place.
+        shots: shooting iterations on the rollout after eq. 13; 0 uses eq. 13 alone, clipped at the limits.
+        resample: interpolate a target coarser than the model's step by a cubic spline.
 
     Returns:
-        the voltage on its own clock, with what was cut and how well the model itself follows it.
+        the voltage on its own clock, the clipped samples, and the model's own tracking error.
 
     Raises:
         BadInput: a limit that is not positive, a start beyond it, a target of fewer samples than the model's order
@@ -108,7 +109,8 @@ def feedforward(
     if not isinstance(target, Target | Record):
         raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
-    model, units = model_of(model), units_of(model)
+    fitted, units = fitted_of(model), units_of(model)
+    model = fitted.model
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     given = target
     if resample:
@@ -124,7 +126,7 @@ def feedforward(
     path = extend(wanted, target.dt, model, limits, stands)
     warnings += on_target(model, target, wanted, path, units)
     first, last = path.target.start, path.target.stop
-    # the session's clock at the first sample played; nothing was done to the actuator before it began
+    # the session's clock at the first sample played, before which the actuator was at rest
     age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
@@ -140,6 +142,8 @@ def feedforward(
             f"{100 * outside:.0f} % of the target lies outside the region the model was trained in: "
             f"{outside_words(model, cut.features[first:last], target.time)}; expect more error there",
         )
+    unseen = target_beyond(fitted, wanted, target.dt)
+    warnings += tuple(filter(None, [target_words(fitted, unseen)]))
     inside = np.zeros(len(best.voltage), bool)
     inside[first:last] = True
     ramp = np.zeros(len(inside) - last, bool)
@@ -161,7 +165,7 @@ def feedforward(
         saturated=saturated,
         target=inside,
         wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=outside,
+        outside_training_share=max(outside, unseen.fraction),
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
@@ -170,7 +174,7 @@ def feedforward(
 
 
 def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: it has the wrong sign, or another zero than was said.
+    """Refuse a target whose negative is reachable: its sign or its offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.
@@ -188,13 +192,13 @@ def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, frac
 
 
 def standing(model: Model, voltage: float, dt: float):
-    """Find the scaled state in which a held voltage leaves the model, and its displacement, m; (None, 0) at 0 V."""
+    """Return the scaled state and the displacement (m) of the model settled at a voltage; (None, 0) at 0 V."""
     if voltage == 0:
         return None, 0.0
     kind = model.coefficients.dtype
     level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
     level /= float(model.scales.state[0])
-    # the nominal's own level to begin with; encoder and effects move it from there, so it is run until it stands
+    # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
     begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
     count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))
     state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]

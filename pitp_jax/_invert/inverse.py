@@ -1,4 +1,4 @@
-"""Invert a displacement, as a pure function of one recording: traced, differentiated and batched at will.
+"""Invert a displacement, as a pure function of one recording for tracing, gradients and batches.
 
 closed_form   u = drive^-1(sqrt(max(F, 0))),  F = sigma_off + sum_i sigma_i x^(i)     (paper, eq. 13)
 discrete      the voltage whose decoder steps lead from each state to the next         (`discrete`)
@@ -32,9 +32,9 @@ def inverse(
     kind: Kind = "closed_form",
     zero: Zero = "rest",
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
-    """Compute the voltage (V) that makes the model follow a displacement (m) from rest; `jax.vmap` for more.
+    """Compute the voltage (V) with which the model follows a displacement (m) from rest; `jax.vmap` for more.
 
-    Limits, a way up to the target and a check stand in `feedforward`.
+    `feedforward` adds limits, a lead-in and a check.
 
     Args:
         model: any: identified, trained, with effects.
@@ -45,8 +45,8 @@ def inverse(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage makes the force: it is clipped
-        at F = 0 there.
+        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage produces the force: it is clipped at
+            F = 0 there.
 
     Raises:
         BadInput: another kind, fewer samples than the order needs, or "discrete" for a band-limited voltage.

@@ -1,4 +1,4 @@
-"""Keep the limits of a feedforward: the amplifier's range and slew, and the membrane's stroke.
+"""Limits of a feedforward: the amplifier's range and slew, and the actuator's displacement.
 
 low <= u <= high,   |u'| <= slew,   |x| <= farthest
 """
@@ -17,7 +17,7 @@ _VOLTS = Units()
 
 @dataclass(frozen=True)
 class Limits:
-    """Input range, slew, displacement from the position at zero input either way, and the input at both ends.
+    """Input range, slew, displacement from the position at zero input, and the input at both ends.
 
     All in base units (V, V/s, m); `units` is for messages.
     """
@@ -31,18 +31,18 @@ class Limits:
 
     @property
     def unnoticed(self) -> float:
-        """What the first sample may miss, V: a hundredth of the range, 1e-4 of the largest force of a square."""
+        """Return the tolerated difference of the first sample, V: a hundredth of the range."""
         return 0.01 * (self.high - self.low)
 
     @property
     def range_text(self) -> str:
-        """The range in words; from zero on only its end."""
+        """Return the range in words; only its end if it starts at zero."""
         shown = self.units.input
         return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
 
     @property
     def text(self) -> str:
-        """All limits in force, in words."""
+        """Return all limits in force, in words."""
         parts = [self.units.input.range_text(self.low, self.high), f"at most {self.units.input.rate_text(self.slew)}"]
         if np.isfinite(self.farthest):
             parts.append(f"{self.units.output_word} within {self.units.limit.text(self.farthest)}")
@@ -57,14 +57,14 @@ def limits_of(
     start_input: float = 0.0,
     units: Units = _VOLTS,
 ) -> tuple[Limits, tuple[str, ...]]:
-    """Choose the limits given, or those of the training records; and warn.
+    """Choose the given limits, or those of the training records; return them and warnings.
 
     Raises:
-        BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
+        BadInput: a limit that is not positive, an infinite voltage, or a start beyond it.
     """
     low, high = model.domain.voltage_range
     warnings: tuple[str, ...] = ()
-    if model.input_map.one_sided:  # squared: what was played below zero counts as well
+    if model.input_map.one_sided:  # squared: negative voltages of the records count too
         if high <= 0 > low:
             warnings += ("the recordings have negative inputs alone, this one is positive: its negative does the same",)
         low, high = 0.0, max(high, -low)
@@ -94,10 +94,10 @@ def limits_of(
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Clip to the voltage range, then to the slew rate, from the voltage at the ends, which is the first sample.
+    """Clip to the voltage range, then to the slew rate, starting at the voltage of the ends.
 
     Returns:
-        The voltage kept, and True where it differs from the voltage asked for.
+        The limited voltage, and True where it differs from the requested one.
     """
     kept = np.clip(voltage, limits.low, limits.high)
     kept[0] = last = limits.ends
@@ -106,10 +106,10 @@ def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarr
         for i, asked in enumerate(kept):
             kept[i] = last = min(max(asked, last - most), last + most)
     cut = np.abs(kept - voltage) > 1e-6 * max(abs(limits.high), 1e-30)
-    cut[0] = False  # where it stands, not a limit: a model may need a voltage at x = 0
+    cut[0] = False  # the initial voltage, not a limit: a model may need a voltage at x = 0
     return kept, cut
 
 
 def travel(voltage: np.ndarray) -> float:
-    """Compute the total variation, V."""
+    """Compute the total variation of a voltage, V."""
     return float(np.abs(np.diff(voltage)).sum())

@@ -1,10 +1,10 @@
-"""Linearise a rollout about a voltage: what a small change of it does to the reading, stage by stage.
+"""Linearise a rollout about a voltage: the effect of a small change on the reading, stage by stage.
 
     s_{t+1} = f(s_t, V_t, V_{t+1}),   A_t = df/ds,  B_t = df/d(V_t, V_{t+1}),   y_t = reading(s_t)
     V_{t+1} = q V_t + a u_t + b u_{t+1}                                          the electrode's lag
 
-A stage is `length` samples, over which the change of the voltage is linear, c + j d after j of them. With
-z = (ds, dV, c, d) at its beginning everything within is linear in z, and so is the next z but for its new slope d.
+A stage is `length` samples, over which the change of the voltage is linear, c + j d after j of them. With z = (ds, dV,
+c, d) at its beginning, all values within the stage are linear in z, and so is the next z except for its new slope d.
 """
 
 from dataclasses import replace
@@ -23,7 +23,7 @@ from .realtime import film_after
 
 
 class Stages(NamedTuple):
-    """Per stage: z at its end, the slope unchanged, and the scaled reading at each of its samples."""
+    """Matrices per stage: z at its end (same slope), and the scaled reading at each of its samples."""
 
     onward: Float[Array, "stages n n"]
     reading: Float[Array, "stages length n"]
@@ -40,18 +40,18 @@ def linearise(
     """Compute the stages along a rollout.
 
     Args:
-        model: any; its delays are the caller's.
+        model: any; the caller applies its delays.
         states: of the rollout, scaled.
         film: the voltage behind the electrode at each sample and the next, V.
         dt: sampling interval, s.
         unit: of dV, c and d, V.
     """
-    if model.hold == "bandlimited":  # its taps reach over 16 samples; for a slope, linear will do
+    if model.hold == "bandlimited":  # its taps reach over 16 samples; for a slope, linear is sufficient
         model = replace(model, hold="foh")
     fractions = stage_fractions(model)
     size = states.shape[-1]
     n, zero = size + 3, jnp.zeros((), states.dtype)
-    # the electrode's lag is linear: its three numbers are its slopes, at any voltage
+    # the electrode's lag is linear, so its three coefficients are its slopes at any voltage
     q, a, b = jax.grad(lambda *v: film_after(model.drive, *v, dt), argnums=(0, 1, 2))(zero, zero, zero)
     V = jnp.zeros(n, states.dtype).at[size:].set(jnp.stack([q, a + b, b]))
     ramp = jnp.zeros((2, n), states.dtype).at[0, size + 1 :].set(1.0).at[1, -1].set(1.0)
@@ -60,7 +60,7 @@ def linearise(
         return step(model, s, between(pair, model.hold, fractions, jnp)[0], dt)
 
     def sample(s, pair):
-        """Compute the matrix that takes z one sample on, and the gradient of the reading."""
+        """Compute the matrix that advances z by one sample, and the gradient of the reading."""
         A, B = jax.jacfwd(onward, argnums=(0, 1))(s, pair)
         moved = unit * B[:, 1:] * V
         moved = moved.at[:, :size].add(A).at[:, size].add(unit * B[:, 0])

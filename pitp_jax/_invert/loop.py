@@ -21,9 +21,9 @@ from jax.flatten_util import ravel_pytree
 from .._model.programs import full_precision
 
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
-_COARSE, _RESONANCES = 500, 12  # frequencies over the whole band, resonances with frequencies of their own
-_ROUNDING = 1e-7  # of a pole's modulus: a state that is kept has a pole at 1
-_ONE_STEP = np.pi / 2  # rad: a larger turn between two frequencies is not resolved
+_COARSE, _RESONANCES = 500, 12  # frequencies over the whole band; resonances with additional frequencies
+_ROUNDING = 1e-7  # of a pole's modulus: a constant state has a pole at 1
+_ONE_STEP = np.pi / 2  # rad: a larger phase change between two frequencies is not resolved
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Plant:
 def linearised(
     step: Callable, points: Sequence[tuple[Any, float, float]], dt: float, natural: float, late: float = 0.0
 ) -> list[Plant | None]:
-    """Linearise a plant about states of one structure.
+    """Linearise a plant about several states; return a `Plant` for each.
 
     Args:
         step: (state, input) -> (state, output one sample later).
@@ -73,7 +73,7 @@ def linearised(
 
 
 def responding(by_state: np.ndarray, by_value: np.ndarray, dt: float, natural: float, late: float = 0.0) -> Plant:
-    """Compute a plant's response from its matrices [[A], [C]] and [B, D]; the rest as of `linearised`."""
+    """Compute a plant's response from its matrices [[A], [C]] and [B, D]; other arguments as in `linearised`."""
     A, B, C, D = by_state[:-1], by_value[:-1], by_state[-1], by_value[-1]
     poles = np.linalg.eigvals(A)
     frequency = _frequencies(poles, dt, natural)
@@ -84,7 +84,7 @@ def responding(by_state: np.ndarray, by_value: np.ndarray, dt: float, natural: f
 
 
 def _frequencies(poles: np.ndarray, dt: float, natural: float) -> np.ndarray:
-    """Choose frequencies (rad/s) up to half the sampling rate, dense about every resonance."""
+    """Return frequencies (rad/s) up to half the sampling rate, dense about every resonance."""
     turning = poles[(np.abs(poles) > 1e-3) & (np.angle(poles) > 1e-6)]
     top = np.pi / dt
     coarse = np.geomspace(min(1e-5 * natural, 1e-3 * top), 0.9999 * top, _COARSE)
@@ -96,7 +96,7 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[flo
     """Compute gain margin and maximum sensitivity, the worst of all operating points.
 
     Returns:
-        The gain margin and the maximum sensitivity; the sensitivity is infinite where a loop is unstable.
+        The gain margin and the maximum sensitivity; the sensitivity is infinite if a loop is unstable.
     """
     margin, sensitivity = np.inf, 1.0
     for plant in plants:
@@ -104,7 +104,7 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[flo
         L = (p + i * dt * z / (z - 1)) * plant.response / z
         stable = _is_stable((1 + L) * (z - 1) / z, int((np.abs(plant.poles) > 1 + _ROUNDING).sum()))
         crossings = _crossings(L)
-        # a stable loop may cross beyond -1 and come back: there less gain is the danger, and it is no gain margin
+        # A stable loop may cross beyond -1 and return; there a lower gain is dangerous, so it is not a gain margin.
         inside = crossings[crossings > -1] if stable else crossings
         margin = min(margin, *(-1 / inside), np.inf)
         sensitivity = max(sensitivity, float(np.abs(1 / (1 + L)).max()) if stable else np.inf)
@@ -121,7 +121,7 @@ def _is_stable(f: np.ndarray, unstable: int) -> bool:
 
 
 def _crossings(L: np.ndarray) -> np.ndarray:
-    """Find where L crosses the negative real axis, by the line between two frequencies."""
+    """Return the values where L crosses the negative real axis, by interpolation between two frequencies."""
     real, imaginary = np.real(L), np.imag(L)
     above = np.sign(imaginary)
     at = np.flatnonzero((above[1:] * above[:-1] <= 0) & (above[1:] != above[:-1]))

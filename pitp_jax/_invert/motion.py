@@ -1,4 +1,4 @@
-"""Follow a model along a motion that is given, as pure functions of one recording: its equation, memories and tokens.
+"""Evaluate a model along a given motion, as pure functions of one recording: equation, memories and tokens.
 
 X_i = x^(i) / scale_i,   m = memory(x),   sigma = tokens(S, m)        x by the coordinate of `_model.coordinate`
 
@@ -19,20 +19,20 @@ from .._simulate import ports
 
 
 def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
-    """Compute the scaled x behind a displacement (m), without what effects of the sensor make of it."""
+    """Compute the scaled x of a displacement (m), with the sensor's effects removed."""
     x = (to_model(model, displacement, zero) / model.scales.state[0]).astype(displacement.dtype)
     return ports.moves(model, x, dt) if model.effects else x
 
 
 def equation_of(model: Model, x: Float[Array, " time"], dt) -> Float[Array, "time tokens"]:
-    """Compute scaled [x, ..., x^(n)] along a scaled x."""
+    """Compute scaled [x, ..., x^(n)] along a scaled x, shape (time, n + 1)."""
     steps = jnp.asarray(model.scales.rates, x.dtype) * dt
-    units = jnp.concatenate([jnp.ones(1, x.dtype), jnp.cumprod(1 / steps)])  # no power of dt alone: it underflows
+    units = jnp.concatenate([jnp.ones(1, x.dtype), jnp.cumprod(1 / steps)])  # a power of dt alone would underflow
     return path_derivatives(x, model.order) * units.astype(x.dtype)
 
 
 def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Float[Array, "time features"]:
-    """Compute what the encoder sees along scaled [x, ..., x^(n)]: S, then memories that had settled at x(0)."""
+    """Compute the encoder's features along scaled [x, ..., x^(n)]: S, then memories settled at x(0)."""
     x = equation[:, 0]
     return jnp.concatenate([equation[:, :-1], model.memory.trajectory(x, dt, model.memory.initial(x[0]))], -1)
 
@@ -73,7 +73,7 @@ def tokens_along(
     """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:
-        model: any; effects act beside the tokens.
+        model: any; effects are not part of the tokens.
         displacement: shape (time,), m, without missing values and without noise: it is differentiated.
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 

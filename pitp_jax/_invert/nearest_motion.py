@@ -1,11 +1,11 @@
-"""Find the nearest motion that the limits allow: constrained least squares over the whole horizon.
+"""Find the motion nearest to a target within the limits: constrained least squares over the whole horizon.
 
     minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
     subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
 
-Gauss-Newton about the current rollout: every change of the voltage solves a quadratic programme with the limits inside
-(`change_programme`, `stage_qp`) and is halved until the rollout itself gains. All limits of u are convex, so every
-iterate keeps them. m is what the first voltage misses, U the range of voltages. 10,000 samples take a second or two.
+Gauss-Newton about the current rollout: every change of the voltage solves a quadratic programme with the limits
+(`change_programme`, `stage_qp`) and is halved until the rollout improves. All limits of u are convex, so every iterate
+keeps them. m is the error of the first voltage, U the range of voltages. 10,000 samples take a second or two.
 """
 
 import jax
@@ -19,22 +19,22 @@ from .._simulate.batched_rollout import fast_rollout
 from .change_programme import Played, Wish, best_change, second_differences
 
 _STEPS = 10  # of Gauss-Newton
-_GAIN = 2e-3  # of the objective, below which it ends
+_GAIN = 2e-3  # relative gain of the objective below which it ends
 _SHORTEST = 1 / 16  # of a change
-_SWING = 1e-4  # of what the first voltage misses: the price of a voltage that swings at the resonance
-_SMOOTH = 0.03  # of it at most: the price of the first voltage's own bends
-_BEYOND = 1e3  # weight of a reading beyond the farthest
+_SWING = 1e-4  # of the first voltage's error: the cost of a voltage that oscillates at the resonance
+_SMOOTH = 0.03  # of it at most: the cost of the first voltage's own curvature
+_BEYOND = 1e3  # weight of a reading beyond its limit
 
 
 def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
-    """Find the voltage (V, shape (T,)) that keeps the limits and whose rollout comes nearest to what is wanted.
+    """Find the voltage (V, shape (T,)) within the limits whose rollout is nearest to the wanted reading.
 
     Args:
         model: any.
         wish: the motion and the limits.
         first: a voltage within the limits of range and slew to begin with.
     """
-    # an interior point divides by slacks that go to zero; beside voltages of order one float32 would lose them
+    # an interior point divides by slacks near zero, which float32 would lose beside voltages of order one
     with jax.enable_x64(True):
         model = in_double(model)
         now = _play(model, wish, first)
@@ -63,7 +63,7 @@ def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
 
 
 def _misses(wish: Wish, played: Played) -> tuple[np.ndarray, np.ndarray]:
-    """Compute what is missed of the target, and what is beyond the farthest, weighed; m."""
+    """Return the error to the target, and the weighted excess over the displacement limit, m."""
     missed = (played.reading - wish.reading)[wish.counted]
     if not np.isfinite(wish.farthest):
         return missed, np.zeros(0)
@@ -77,9 +77,9 @@ def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
 
 
 def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
-    """Choose rho: a swing of U/4 at the resonance all along costs 1e-4 of what the first voltage misses, at 10 times 1.
+    """Return rho: a steady oscillation of U/4 at the resonance costs 1e-4 of the first voltage's error.
 
-    But no more than a few hundredths for the second differences of the first voltage itself.
+    The second differences of the first voltage cost at most a few hundredths of the error.
     """
     swing = len(first) * (model.natural_frequency * wish.dt) ** 4 / 32
     bent = float((second_differences(first / wish.unit) ** 2).sum())

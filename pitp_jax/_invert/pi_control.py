@@ -1,7 +1,7 @@
-"""Trim a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
+"""Correct a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
 
     v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
-    z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: what a limit cuts leaves z within T
+    z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: z loses the clipped part within T
 
 h is the identity (P and I in V/m and V/(m s), as in the paper) or the input map (in V^2/m, gains of `pi_gains`). The
 paper gives P = 0.1, I = 0.3 without units; here they are kV per mm and kV per mm and second, that is V/um and
@@ -42,7 +42,7 @@ def pi_trim(
     tracking: float | None = None,
     direction: float = 1.0,
 ) -> tuple[Float[Array, " time"], Float[Array, " time"]]:
-    """Run a plant, at rest at the first sample, under feedforward plus PI.
+    """Simulate a plant, at rest at the first sample, with feedforward plus PI.
 
     Over a sample the feedforward runs linearly to its next value and the correction is held. Outside a JAX
     transformation the loop is linearised about five states of the plant under the feedforward alone (`loop`).
@@ -53,13 +53,13 @@ def pi_trim(
         voltage: feedforward, V.
         target: wanted displacement, m.
         dt: sampling interval, s.
-        p, i: gains in V/m and V/(m s), with an input map those of its force; p = i = 0 plays the feedforward alone.
+        p, i: gains in V/m and V/(m s), with an input map those of its force; p = i = 0 uses the feedforward alone.
         limits: voltage range.
         max_slew: V/s; the voltage starts from its first feedforward.
-        input_map: a model's: P and I act on the force, so that the loop is as fast at every voltage. None: on the
+        input_map: a model's: P and I act on the force, so the loop is equally fast at every voltage. None: on the
             voltage, as in the paper.
         tracking: time constant T of the back-calculation, s; None: p / i, at least dt. Take the closed loop's.
-        direction: -1 where the sensor reads a pull as less (`model.output.polarity`).
+        direction: -1 if the sensor is reversed (`model.output.polarity`).
 
     Returns:
         Displacement (m) and the voltage at each sample (V), both of shape (T,).
@@ -77,12 +77,12 @@ def pi_trim(
     low, high = limits
     h = input_map or LinearInput()
     integrates = jnp.asarray(i) > 0
-    # faster than a sample the back-calculation would overshoot
+    # faster than a sample, the back-calculation would overshoot
     within = jnp.maximum(p / jnp.where(integrates, i, 1.0) if tracking is None else tracking, dt)
 
     def kept(wanted, feed, before):
-        """Convert a force to a voltage within range and slew; exactly the feedforward where nothing is added."""
-        # h^-1(h(u)) rounds: without this, gains of zero would not play the file as it stands
+        """Convert a force to a voltage within range and slew; exactly the feedforward if nothing is added."""
+        # h^-1(h(u)) rounds, so that gains of zero would not reproduce the file exactly
         u = where(wanted == h.force(feed), feed, h.voltage(wanted))
         return jnp.clip(jnp.clip(u, low, high), before - max_slew * dt, before + max_slew * dt)
 
@@ -95,7 +95,7 @@ def pi_trim(
         asked = h.force(u) + correction
         first = kept(asked, u, before)
         last = kept(h.force(u_next) + correction, u_next, first)
-        # what the limits cut is taken out of the integral, or it would wind up while they bite
+        # the part cut by limits is removed from the integral; otherwise it would wind up
         total = total + where(integrates, (h.force(first) - asked) / jnp.where(integrates, i, 1.0), 0.0) * dt / within
         state, following = step(state, first, last)
         return (state, following, total, first), (x, first)
@@ -111,7 +111,7 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     """Refuse gains whose loop is unstable about states that the feedforward alone reaches.
 
     Raises:
-        BadInput: with the factor that gains would have to be multiplied by.
+        BadInput: with the factor by which the gains would have to be multiplied.
     """
     (p, i), (h, (low, high), direction) = gains, loop
     if p == 0 and i == 0:
@@ -126,7 +126,7 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     points = []
     for k in map(int, at):
         u = float(jnp.clip(voltage[k], low, high))
-        # a force is taken up by the voltage as 1 / h'(u); where h' = 0 the voltage does not act
+        # the controller's force is converted with the gain 1 / h'(u); where h' = 0 the voltage has no effect
         slope = 2 * u if h.one_sided else 1.0
         if slope > 0:
             points.append((jax.tree.map(lambda leaf, k=k: leaf[k], states), u, direction / slope))

@@ -1,4 +1,4 @@
-"""Put a plan on the clock of what plays it, say a DAQ of another rate than the target's.
+"""Convert a plan to the clock of its player, for example a DAQ with another rate than the target's.
 
 slower    the target is taken along its interpolating spline (quintic), and planned at that rate
 faster    the voltage runs straight between the plan's samples, as an order-one hold takes it: no limit is lost
@@ -19,7 +19,7 @@ _DEGREE = 5
 
 
 def at_slower_rate(target: Target, rate: float | None) -> Target:
-    """Resample the target at `rate` (Hz) where that is below its own, else return it as it is.
+    """Return the target resampled at `rate` (Hz) if that is below its own; otherwise unchanged.
 
     Raises:
         BadInput: too few samples would be left, or too many would be played.
@@ -36,12 +36,12 @@ def at_slower_rate(target: Target, rate: float | None) -> Target:
         raise BadInput(f"--rate {rate:g} Hz leaves {count} samples of the target: raise it")
     time = target.time[0] + np.arange(count) / rate
     spline = make_interp_spline(target.time, target.displacement, k=_DEGREE)
-    # rounding may put the last time behind the target's end, where a spline of degree 5 runs away
+    # rounding may put the last time after the target's end, where a spline of degree 5 diverges
     return replace(target, time=time, displacement=spline(np.minimum(time, target.time[-1])))
 
 
 def at_faster_rate(plan: Feedforward, rate: float | None) -> Feedforward:
-    """Resample the plan at `rate` (Hz) where that is above its own; flags are those of the sample before."""
+    """Return the plan resampled at `rate` (Hz) if that is above its own; flags are those of the sample before."""
     spacing = float(plan.time[-1] - plan.time[0]) / (len(plan.time) - 1)
     if rate is None or rate < (1 + _SAME) / spacing:
         return plan

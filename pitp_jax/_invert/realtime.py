@@ -1,11 +1,11 @@
-"""Step one sample at a time: eq. 13 and one decoder step, compiled ahead of time for a control loop.
+"""Real-time steps: eq. 13 and one decoder step, one sample at a time, compiled ahead for a control loop.
 
     inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
     decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
 
-What passes from sample to sample is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run
-in any later process on the same kind of device without this package. The inverse looks back where `invert_path` looks
-both ways: V' is of 2nd order instead of 4th.
+The state between samples is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run in any
+later process on the same kind of device without this package. The inverse uses past samples only, `invert_path` both
+sides: V' is of 2nd order instead of 4th.
 """
 
 from collections.abc import Callable
@@ -37,10 +37,10 @@ class CompiledStep:
     """A compiled step.
 
     Attributes:
-        carry: what the step starts from at rest, shape (C,), float32.
-        inputs: how many numbers it takes per sample.
-        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. Where an input is not finite
-            the output is nan, and the carry stays as it was.
+        carry: state at rest, shape (C,), float32.
+        inputs: number of inputs per sample.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. If an input is not finite,
+            the output is nan and the carry does not change.
         exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
@@ -51,7 +51,7 @@ class CompiledStep:
 
 
 def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the drive voltage before limits (V) for [y, ..., y^(n)] (from 0 V, at rest before, m / s^i).
+    """Compile the voltage before limits (V) for [y, ..., y^(n)] (m / s^i, from 0 V, at rest before).
 
     Args:
         model: identified or trained, without effects.
@@ -78,7 +78,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
         memory = memory_after(model.memory, memory, before, x[0], dt)
         force = equation_force(model, model.encoder.over()([*x[:-1], *memory]), list(x))[0]
         film = film_voltage(model, force)
-        # V' from the last two samples: what comes next is not known in a loop
+        # V' from the last two samples, because later samples are unknown in a loop
         voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
         return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
 
@@ -90,7 +90,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
 
 
 def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the displacement (from 0 V, base unit) at the sample of the drive voltage u (V), from rest.
+    """Compile the displacement (from 0 V, base unit) at the sample of the voltage u (V), from rest.
 
     Args:
         model: identified or trained, without effects.
@@ -127,10 +127,10 @@ def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
 
 
 def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
-    """Restore the `run` of a `CompiledStep` from its bytes, compiled for this machine before it returns.
+    """Restore the `run` of a `CompiledStep` from its bytes, compiled for this machine.
 
     Args:
-        exported: what `CompiledStep.exported.serialize()` gave.
+        exported: bytes from `CompiledStep.exported.serialize()`.
 
     Returns:
         fn(carry, input) -> (carry, output), compiled.
@@ -142,9 +142,9 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
 
 def _compile(exported: export.Exported):
-    """Compile through `jax.jit`, whose dispatch takes half the time of a `Compiled` object, by calling it once.
+    """Compile through `jax.jit`, which dispatches twice as fast as a `Compiled` object, by calling it once.
 
-    Numbers of 64 bits are rounded on the way in: the caller may have enabled them or not.
+    64-bit inputs are rounded, because the caller may have enabled them.
     """
     run = jax.jit(lambda *given: exported.call(*(jnp.asarray(g, jnp.float32) for g in given)))
     carry, values = (np.zeros(a.shape, np.float32) for a in exported.in_avals)
@@ -155,7 +155,7 @@ def _compile(exported: export.Exported):
 
 @singledispatch
 def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    """Advance the memories by one sample, x linear from `before` to `now` (scaled)."""
+    """Return the memories one sample later, x linear from `before` to `now` (scaled)."""
     return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
 
 
@@ -166,7 +166,7 @@ def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) 
 
 @singledispatch
 def lag(drive: AbstractDrive) -> Array:
-    """Look up the time constant tau of u = V + tau V', s."""
+    """Return the time constant tau of u = V + tau V', s."""
     raise BadInput(f"no real-time inverse of a {type(drive).__name__}")
 
 
@@ -182,7 +182,7 @@ def _(drive: ElectrodeLag) -> Array:
 
 @singledispatch
 def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    """Advance the film voltage by one sample, the drive linear from `before` to `now`."""
+    """Return the film voltage one sample later, the voltage u linear from `before` to `now`."""
     raise BadInput(f"no real-time step of a {type(drive).__name__}")
 
 
@@ -198,7 +198,7 @@ def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) ->
 
 @singledispatch
 def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    """Compute the film's stage voltages, and its voltage at the end, over one sample of a drive that is held."""
+    """Return the film's stage voltages, and its voltage at the end, over one sample of a held voltage u."""
     raise BadInput(f"no real-time step of a {type(drive).__name__}")
 
 
@@ -211,13 +211,13 @@ def _(drive: DirectDrive, film: Array, now: Array, dt: float, stages: np.ndarray
 def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
     tau, first = jnp.exp(drive.log_tau), float(stages[2]) * dt
     left = (film - now) * jnp.exp(-stages * dt / tau)
-    # the first stage is what Simpson's rule needs for the exact mean: a short lag is over between two stages
+    # the first stage makes Simpson's rule exact for the mean, because a short lag ends between two stages
     mean = -(film - now) * jnp.expm1(-first / tau) * tau / first
     return now + left.at[0].set(6 * mean - 4 * left[1] - left[2]), now + left[-1]
 
 
 def _refused(model: Model, dt: float) -> Model:
-    """The model, unless no real-time step can be made of it."""
+    """Return the model, or refuse one that has no real-time step."""
     if model.effects:
         raise BadInput("real-time steps are for models without effects")
     if not dt > 0:
@@ -228,7 +228,7 @@ def _refused(model: Model, dt: float) -> Model:
 def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
     def guarded(carry, values):
         after, output = one(carry, values)
-        sound = jnp.isfinite(values).all()  # one sample lost by a sensor must not spoil the carry of all that follow
+        sound = jnp.isfinite(values).all()  # one lost sensor sample must not spoil the carry of all that follow
         after, output = jnp.asarray(after, jnp.float32), jnp.asarray(output, jnp.float32)
         return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
 

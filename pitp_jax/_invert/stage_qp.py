@@ -1,4 +1,4 @@
-"""Solve a quadratic programme along a horizon by a primal-dual interior point whose every step is a Riccati recursion.
+"""Solve a quadratic programme along a horizon by a primal-dual interior point method with Riccati recursions.
 
     minimise    sum_k  z_k' Q_k z_k / 2 + q_k' z_k + rho (w_k + b_k)^2 / 2
     subject to  z_{k+1} = A_k z_k + e w_k,  z_0 = 0                            (e: the last unit vector)
@@ -6,9 +6,9 @@
 
 Mehrotra's predictor and corrector (Nocedal & Wright, 2006, alg. 16.4). With slacks s and multipliers m > 0 a Newton
 step is the same problem without bounds, G' (m / s) G added to Q: a recursion backwards and one forwards (Rao, Wright &
-Rawlings, 1998), K n^3 operations; one control, so that it divides by a number. The absolute values are bounds
--a_k <= g z + h <= a_k with sum a_k <= budget: a_k falls out stage by stage, and the budget's multiplier is one more
-right-hand side. Meant for float64.
+Rawlings, 1998), K n^3 operations; one control, so it divides by a scalar. The absolute values are bounds -a_k <= g z +
+h <= a_k with sum a_k <= budget: a_k is eliminated stage by stage, and the budget's multiplier is one more right-hand
+side. It needs float64.
 """
 
 from typing import NamedTuple
@@ -21,12 +21,12 @@ from .._model.programs import jit
 from .._numerics.where import where
 
 _ITERATIONS = 50
-_GAP = 1e-6  # of duality gap and residuals, where objective and bounds are of order one
+_GAP = 1e-6  # of duality gap and residuals, with objective and bounds of order one
 _BACK = 0.99  # of the way to the nearest bound
 
 
 class StageQP(NamedTuple):
-    """The problem, stage by stage, of order one: objective, bounds and changes."""
+    """A quadratic programme, stage by stage, of order one: objective, bounds and changes."""
 
     A: Float[Array, "stages n n"]
     Q: Float[Array, "stages n n"]
@@ -52,13 +52,13 @@ class _Iterate(NamedTuple):
 
 @jit
 def solve_stage_qp(problem: StageQP, start: float) -> tuple[Float[Array, "stages n"], Array, Array]:
-    """Solve for all z_k; also the iterations taken and the last duality gap. The smallest slack begins at `start`."""
+    """Solve for all z_k; return them, the iterations and the last duality gap. Slacks are at least `start` at first."""
     still = jnp.zeros_like(problem.q)
     a = jnp.abs(problem.h) + start
-    # an infeasible start: slacks are positive, and the equations that define them are met on the way
+    # an infeasible start: slacks are positive, and their defining equations are met during the iterations
     slack = jax.tree.map(lambda s: jnp.maximum(s, start), _distances(problem, still, a))
     count = sum(s.size for s in slack)
-    # all products of slack and multiplier alike, as on the central path, where the first steps are long
+    # equal products of slack and multiplier, as on the central path, where the first steps are long
     first = _Iterate(still, a, slack, jax.tree.map(lambda s: 1 / (count * s), slack))
 
     def going(carry):
@@ -75,7 +75,7 @@ def solve_stage_qp(problem: StageQP, start: float) -> tuple[Float[Array, "stages
 
 
 def _distances(problem: StageQP, z: Array, a: Array) -> tuple[Array, Array, Array]:
-    """Compute how far every inequality is from holding as an equation: bounds (2, stages, rows), (2, stages), (1,)."""
+    """Compute the slack of every inequality: bounds (2, stages, rows), (2, stages), (1,)."""
     value, change = jnp.einsum("krn,kn->kr", problem.G, z), problem.g * z[:, -1] + problem.h
     return (
         jnp.stack([value - problem.low, problem.high - value]),
@@ -92,7 +92,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
     """Take one Mehrotra predictor-corrector step on the KKT system; the a_k are eliminated stage by stage.
 
     With S = m / s per inequality: G' S G joins Q, the two bounds on |g z + h| join as 4 S+ S- / (S+ + S-) on g z + h,
-    and the budget's multiplier is one number, whose answer (`per_price`) is one more right-hand side.
+    and the budget's multiplier is a scalar, whose response (`per_price`) is one more right-hand side.
     """
     stiffness = jax.tree.map(lambda m, s: m / s, now.multiplier, now.slack)
     bounds, (upper, lower), budget = stiffness
@@ -124,11 +124,11 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
         return _Iterate(z, a, slack, multiplier)
 
     gap = _gap(now.slack, now.multiplier) / count
-    # predictor: straight to products of zero, as far as the bounds let it
+    # predictor: straight to products of zero, as far as the bounds allow
     aim = newton(jax.tree.map(jnp.zeros_like, now.slack))
     length = _longest(now, aim, 1.0)
     ahead = jax.tree.map(lambda a, b: a + length * (b - a), now, aim)
-    # corrector: back to the centre by the cube of what the predictor left of the gap, and with its second-order error
+    # corrector: back to the centre by the cube of the predictor's remaining gap, and with its second-order error
     centre = (_gap(ahead.slack, ahead.multiplier) / count / gap) ** 3 * gap
     second = jax.tree.map(
         lambda s, m, t, n: centre - (t - s) * (n - m), now.slack, now.multiplier, aim.slack, aim.multiplier
@@ -139,7 +139,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
 
 
 def _longest(now: _Iterate, aim: _Iterate, part: float) -> Array:
-    """Find the step, at most 1, that goes this part of the way to the first slack or multiplier of zero."""
+    """Return the step length, at most 1, that covers the fraction `part` of the way to the nearest bound."""
 
     def to_zero(value, ahead):
         return jnp.min(where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))
@@ -162,7 +162,7 @@ def _factor(problem: StageQP, Q: Array):
 
 
 def _sweep(problem: StageQP, factors, q: Array, size: float) -> Array:
-    """Solve for all z_k of the problem without inequalities for another q, b times `size`."""
+    """Solve for all z_k of the problem without inequalities, for another q and `size` times b."""
     gains, H, closed = factors
 
     def back(p, stage):

@@ -1,11 +1,11 @@
-"""Invert a stream: any number of samples in blocks, in flat memory.
+"""Invert a stream of samples in blocks, with constant memory.
 
     rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
     memory m               carried from window to window
-    u = V + tau V'         two rows of the next window looked ahead at
+    u = V + tau V'         uses two rows of the next window
 
-Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any
-length (the last window is shorter); time counts within a window, so nothing grows but the memories' own state.
+Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any length
+(the last window is shorter); time counts within a window, so only the memories' own state may grow.
 """
 
 from collections.abc import Iterable, Iterator
@@ -30,11 +30,11 @@ _ROUNDING = 1e-6  # of the model's unit of force
 
 @dataclass(frozen=True)
 class Piece:
-    """A stretch of the answer, in order and without gaps.
+    """A part of the result, in order and without gaps.
 
     Attributes:
         voltage: drive voltage before any limit, V, shape (samples,).
-        infeasible: True where the model asks for a force no voltage makes.
+        infeasible: True where the model needs a force that no voltage produces.
     """
 
     voltage: Float[np.ndarray, " samples"]
@@ -50,14 +50,14 @@ def invert_stream(
         model: identified or trained, without effects.
         blocks: wanted displacement from the position at 0 V, base unit.
         dt: sampling interval, s.
-        window: samples per pass, 16 at least; memory in use is proportional to it.
+        window: samples per pass, at least 16; memory use is proportional to it.
 
     Returns:
-        pieces of the answer, in order, as soon as they are known.
+        pieces of the result, in order, as soon as they are known.
 
     Raises:
-        BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
-            all blocks together are too short for its order.
+        BadInput: the model has effects, dt is not positive or the window too small; later, a sample is missing, or all
+            blocks together are too short for its order.
 
     Examples:
         >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)
@@ -82,7 +82,7 @@ def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
         while len(rows) > window:
             inverted = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
             yield _piece(model, inverted, slice(back, window - _AHEAD))
-            # windows overlap by the rows that a derivative of V looks at on either side
+            # windows overlap by the rows that a derivative of V needs on either side
             state, back = inverted[2][window - 2 * _AHEAD], _AHEAD
             rows = rows[window - 2 * _AHEAD :]
     if len(rows):
@@ -90,7 +90,7 @@ def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
 
 
 def _whole(blocks) -> Iterator[np.ndarray]:
-    """Pass the blocks on as long as nothing is missing: one nan would make a whole window's voltage zero."""
+    """Yield the blocks, and refuse a missing sample, because one nan would zero a whole window's voltage."""
     first = 0
     for block in blocks:
         values = np.asarray(block, np.float64)
@@ -107,7 +107,7 @@ def _piece(model: Model, inverted, kept: slice) -> Piece:
 
 
 def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
-    """Collect the same samples into blocks of `size` or a little more; the last may be shorter."""
+    """Yield the same samples in blocks of `size` or a little more; the last may be shorter."""
     waiting, count = [], 0
     for block in blocks:
         waiting.append(block)
@@ -120,13 +120,13 @@ def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
 
 
 def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
-    """Yield rows [x, ..., x^(n)] in order; the last three reaches of samples wait for what comes next."""
+    """Yield rows [x, ..., x^(n)] in order; the last three reaches of samples wait for later samples."""
     r, held, begun = reach(order), np.zeros(0), False
     for block in blocks:
         held = np.concatenate([held, block])
         if len(held) <= 6 * r:
             continue
-        if not begun:  # the filters' start-up reaches R samples in: there the spline itself serves, as in one piece
+        if not begun:  # the filters' start-up reaches R samples in, so the spline itself is used there
             yield derivatives(held[: 3 * r], dt, order)[:r]
         yield inner(held[r:] if begun else held, dt, order)
         held, begun = held[-3 * r :], True

@@ -1,13 +1,13 @@
-"""Lay the path of the inverse: a target, its lead-in from rest and the ramp back to zero.
+"""Path of the inverse: a target, its lead-in from rest and the ramp back to zero.
 
-coarser: a target of a few way points is taken along its cubic spline, on the clock of the model
+coarser: a target of a few way points is interpolated by its cubic spline at the model's rate
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state, within the
          force at the target's first sample where that arrives
 down:  u_ends + (u - u_ends) (1 + cos(pi t / T)) / 2,  T = pi |u - u_ends| / (2 slew) at least
 
-Both last as long as the slowest mode asks: 5 and 3 periods of one that rings, 1/2 of one that does not (3 time
-constants), where a memory counts as no more than 5 periods of the slowest pole: what creeps for minutes swings nothing.
+Both last as long as the slowest mode needs: 5 and 3 periods if it oscillates, 1/2 period if not (3 time constants). A
+memory counts as at most 5 periods of the slowest pole, because slow creep excites no oscillation.
 """
 
 from dataclasses import dataclass, replace
@@ -28,12 +28,12 @@ from .limits import Limits
 
 MOST = 20_000_000  # samples of a plan
 _CLOSE = 0.01  # relative, between the step of a target and that of a model
-_NEAR, _MET = 0.02, 1e-5  # of the target's size: a first state that is reached, also within the narrower bounds
-_SPARE = 0.95  # of the slew limit: the plan differentiates the path anew, and near 0 V a root makes steps of errors
-_BEYOND = 1.02  # of the force at the first sample: what is damped arrives there late otherwise
-_RINGS = 0.7  # damping below which a pole rings
-_IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out of what rings, both of what does not
-_SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is no start from rest
+_NEAR, _MET = 0.02, 1e-5  # of the target's size: a first state counts as reached, also within the narrower bounds
+_SPARE = 0.95  # of the slew limit, because the plan differentiates again, and near 0 V a root amplifies errors
+_BEYOND = 1.02  # of the force at the first sample; otherwise damped motion arrives late
+_RINGS = 0.7  # damping below which a pole oscillates
+_IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out with oscillation, both without
+_SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is not a start from rest
 
 
 @dataclass(frozen=True)
@@ -41,8 +41,8 @@ class Path:
     """A target with its lead-in.
 
     Attributes:
-        displacement: model coordinates, m, shape (M,), from where it stands.
-        target: where the target itself lies.
+        displacement: model coordinates, m, shape (M,), from its initial position.
+        target: samples of the target itself.
         slew_kept: the nominal force of the lead-in stays within the slew limit.
         reached: the lead-in ends in the target's first state: x^(i) within 2 % of omega_0^i times the target's size.
         lead_out: how long the voltage takes to its end at least, s.
@@ -55,7 +55,7 @@ class Path:
     lead_out: float
 
     def ramp_down(self, voltage: float, limits: Limits, dt: float) -> np.ndarray:
-        """Ramp by a raised cosine from the last voltage to the one at the ends, within the slew limit."""
+        """Return a raised cosine from the last voltage to the one at the ends, within the slew limit."""
         far = voltage - limits.ends
         count = max(int(np.ceil(max(np.pi * abs(far) / (2 * limits.slew), self.lead_out) / dt)), 2)
         tail = limits.ends + far * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
@@ -64,14 +64,14 @@ class Path:
 
 
 def at_rate_of_model(target: Target, dt: float) -> Target:
-    """Resample a target that is coarser than the model's step `dt` (s) on that step, else return it as it is.
+    """Return a target coarser than the model's step `dt` (s) resampled to that step; otherwise unchanged.
 
     Raises:
         BadInput: too many samples would be planned.
     """
     if target.dt < (1 + _CLOSE) * dt:
         return target
-    # the step that fits the spacing of the way points, so that each of them is met
+    # the step that divides the spacing of the way points, so that each of them is met
     pieces = int(np.ceil(target.dt / dt * (1 - _CLOSE)))
     count = pieces * (len(target.time) - 1) + 1
     if count > MOST:
@@ -82,7 +82,7 @@ def at_rate_of_model(target: Target, dt: float) -> Target:
 
 
 def settling(model: Model) -> tuple[float, float]:
-    """Compute how long lead-in and lead-out take by the slowest mode, s."""
+    """Return the durations of lead-in and lead-out by the slowest mode, s."""
     poles = np.roots(model.physical_coefficients[::-1])
     poles = poles[np.abs(poles) > 0]
     memory, electrode = model.memory, model.drive
@@ -105,13 +105,13 @@ def settling(model: Model) -> tuple[float, float]:
 
 
 def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: float = 0.0) -> Path:
-    """Put a lead-in in front of a target that does not start at rest where it stands (m), or whose voltage is late.
+    """Add a lead-in to a target that does not start at rest at its initial position (m), or whose voltage is late.
 
-    Rest is S = 0: at order 3 and up the acceleration counts. One of order 2 can take it up at once, but for what the
-    first sample, which stays at the voltage of the ends, would miss.
+    Rest is S = 0; from order 3 on this includes the acceleration. Order 2 can change it at once, except for the first
+    sample, which stays at the voltage of the ends.
 
-    The lead-in is doubled while its voltage breaks the slew limit or it does not arrive: once within the force that
-    the first sample needs, then twice within the limits.
+    The lead-in is doubled while its voltage exceeds the slew limit or it misses its final state: once within the force
+    that the first sample needs, then twice within the limits.
     """
     order, force_of = model.order, model.input_map.force
     wanted = wanted - stands
@@ -120,12 +120,12 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     still = float(force_of(np.asarray(limits.ends)))
     first = float(np.asarray(model.input_map.voltage(still + model.physical_coefficients @ states[0])))
     span = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
-    # the first sample's derivatives beside the largest of the target
+    # the first sample's derivatives relative to the largest of the target
     first_of = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
     moves = abs(states[0, 0]) > 1e-3 * span or first_of[0] > 1e-2 or (first_of[1 : order - 1] > _SUDDEN).any()
     if not moves and abs(first - limits.ends) <= limits.unnoticed:
         early = int(np.ceil(total_delay(model.effects) / dt))
-        lead = np.zeros(early + 2 * order if early else 0)  # at rest: what is late has to be played before
+        lead = np.zeros(early + 2 * order if early else 0)  # at rest, because delayed input must be played before
         return Path(stands + np.append(lead, wanted), slice(len(lead), len(lead) + len(wanted)), True, True, lead_out)
     high = float(force_of(np.asarray(limits.high))) - still
     low = (0.0 if limits.low == 0 else float(force_of(np.asarray(limits.low)))) - still
@@ -133,7 +133,7 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
     wide = 0.98 * low, 0.98 * high
     narrow = max(low, min(own, 0.0)), min(high, max(own, 0.0))
     lead, count, kept, reached = np.zeros(0), 0, False, False
-    # no more force than the first sample needs, where that arrives
+    # no more force than the first sample needs, if that suffices
     tried = [(narrow, stretch, _MET) for stretch in (1, 2, 4) if narrow[0] < narrow[1]]
     for bounds, stretch, near in [*tried, *((wide, stretch, _NEAR) for stretch in (1, 2, 4))]:
         count = max(int(np.ceil(stretch * lead_in / dt)), 64)
@@ -148,16 +148,16 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
-    """Find a way from rest to [x, ..., x^(n)] = `end` that a force within [low, high] can drive, by the nominal ODE.
+    """Find a motion from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
 
         F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
 
-    A polynomial ramp would ask the square of a voltage to pull back: from rest to the lower end of a resonant swing
-    the actuator has to be rocked. Cubic B-splines, 8 to a period of the resonance, at least 40.
+    A polynomial ramp would need a negative force, which a squared voltage cannot produce. To reach the lower end of a
+    resonant swing, the actuator must be swung up. Cubic B-splines, 8 per period of the resonance, at least 40.
 
     Returns:
-        displacement (count,) in m and force (count,), whose next sample is the target's first; and the state [x, ...,
-            x^(n)] in which it arrives: `end`, where the force's bounds let it.
+        displacement (count,) in m and force (count,), whose next sample is the target's first; and the final state [x,
+            ..., x^(n)]: `end` if the force's bounds allow it.
     """
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
@@ -170,7 +170,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     size = np.where(size > 0, size, 1.0)
     smooth = np.diff(np.eye(basis.shape[1]), 2, axis=0)
     unit = max(abs(high), abs(low))
-    # the end state by a weight of 1e4, not as a constraint: where the bounds forbid it, the nearest one is reached
+    # the end state by a weight of 1e4, not as a constraint: if the bounds exclude it, the nearest one is reached
     rows = np.vstack([1e4 * last / size[:, None], smooth, 1e-2 * np.eye(basis.shape[1])])
     rhs = np.concatenate([1e4 * end / size / unit, np.zeros(len(smooth) + basis.shape[1])])
     c = lsq_linear(rows, rhs, bounds=(low / unit, high / unit)).x * unit
@@ -178,7 +178,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
 
 
 def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
-    """Roll the nominal ODE out from rest under forces (T, k), linear between samples: [x, ..., x^(n-1)], (T, n, k)."""
+    """Simulate the nominal ODE from rest under forces (T, k), linear between samples; return states (T, n, k)."""
     n = len(a) - 1
     # the force and its rise over a sample as two more states: one matrix exponential is the exact step
     chained = np.zeros((n + 2, n + 2))

@@ -1,6 +1,6 @@
-"""Write identified numbers into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
+"""Write identified parameters into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
 
-    SimToReal + arm.xml -> changes of attributes -> arm_identified.xml -> the commands in MuJoCo -> gap before, after
+    SimToReal + arm.xml -> changes of attributes -> arm_identified.xml -> commands in MuJoCo -> gap before, after
 
 Needs the `mujoco` package (extra `mujoco`); it is imported when a file is written or played.
 """

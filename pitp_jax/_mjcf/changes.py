@@ -1,51 +1,27 @@
-"""From the numbers of a simulator and a robot to attributes of a MuJoCo file.
+"""Convert the parameters of a simulator and a robot to attributes of a MuJoCo file.
 
     F: torque per unit of the command,   k: how much larger the robot's F is
-    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients moved alike
+    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients changed alike
 
 From commands and motion only the ratios of J, D, K to F are known. Where the robot's J and D are smaller (or larger) by
-one factor, its gain is the larger (or smaller) one: one number in the place of two. The same where the inertia would
-have to fall below that of the links, which no armature can.
+one factor, its gain is the larger (or smaller) one: one changed parameter instead of two. The same holds if the inertia
+would fall below that of the links, which an armature cannot achieve.
 """
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from .._against.parameters import Parameter
 from .._report.numbers import number
+from .change import Change, NotWritten
 from .document import Tag
 from .joint import Joint
+from .weight import add_weight
 
-_ALIKE = 0.1  # of their logarithm, beside two standard errors: two factors that differ by less are one
-_TURN = 2 * math.pi  # rad; the far side of a stop that was found on one side alone
-
-
-@dataclass(frozen=True)
-class Change:
-    """One attribute.
-
-    Attributes:
-        element: `joint` or `actuator`.
-        attribute: its name.
-        old, new: values as the file spells them; old empty where the file's own element has none.
-        text: the comment: from, to, interval, unit.
-    """
-
-    element: str
-    attribute: str
-    old: str
-    new: str
-    text: str
-
-
-@dataclass(frozen=True)
-class NotWritten:
-    """A number that a MuJoCo file cannot hold as an attribute: what, its value, and the nearest way with its cost."""
-
-    words: str
-    value: str
-    way: str
+_ALIKE = 0.1  # of their logarithm, plus two standard errors: two factors that differ by less are one
+_WEIGHT = "softening weight"
+_TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one side
 
 
 _WAYS = {
@@ -56,7 +32,7 @@ _WAYS = {
     "second_mode damper": "damping of that second hinge",
     "slew_limit inverse": "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
     "dead_zone level": "subtract it from ctrl in your control loop",
-    "softening weight": "mass of the body, or pos of its inertial: m g l must rise by the difference",
+    _WEIGHT: "mass of the body, or pos of its inertial: m g l must rise by the difference",
     "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
@@ -65,15 +41,15 @@ _WAYS = {
 }
 
 
-def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten]]:
-    """List what is written into the file, and what cannot be.
+def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
+    """Return the changes to write into the file, and the parameters that it cannot hold.
 
     Args:
         joint: as it is in the file.
-        told: the table of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+        told: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
 
     Returns:
-        changes of attributes, and the numbers that no attribute holds.
+        changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
     rows = {p.name: p for p in told if _is_known(p)}
     f = joint.torque_per_command
@@ -98,11 +74,14 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         found.append(
             _moved(joint, attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit))
         )
+    found, element = _with_weight(joint, found, rows.get(_WEIGHT), f, k)
     found += _of_actuator(joint, rows, f * k)
     found += _stops(joint, rows)
     written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
                "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
                "end_stop place, above", "end_stop place, below"}  # fmt: skip
+    if element:
+        written.add(_WEIGHT)
     if _lag_attribute(joint) is None:
         written.discard("electrode_rc tau")
     elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
@@ -113,11 +92,29 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
             replace(n, way="write the motor as <general> with dyntype and dynprm") if n.way == "none" else n
             for n in left
         ]
-    return found, left
+    return found, left, element
+
+
+def _with_weight(
+    joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
+) -> tuple[list[Change], str]:
+    """Add a weight on the arm, and subtract its inertia from the armature."""
+    if row is None or not joint.hinge:
+        return found, ""
+    changed = next((c for c in found if c.attribute == "armature"), None)
+    armature = joint.armature if changed is None else float(changed.new)
+    error = None if row.stderr is None else f * k * row.stderr
+    hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
+    if hung is None:
+        return found, ""
+    weight, element, rest = hung
+    new = _moved(joint, "armature", joint.armature, rest, None, "kg m^2")
+    new = replace(new, text=f"{new.text}, less the inertia of the weight below")
+    return [*(c for c in found if c is not changed), new, weight], element
 
 
 def _is_known(p: Parameter) -> bool:
-    """Whether a number belongs to what the diagnosis hands back, and its difference is more than its error."""
+    """Return whether a parameter has a known difference, larger than two standard errors."""
     return bool(p.difference) and (p.stderr is None or abs(p.difference) > 2 * p.stderr)
 
 
@@ -127,7 +124,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the other reading of the same numbers."""
+    """Return the factor on the gain, and the alternative interpretation of the parameters."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""
@@ -175,12 +172,12 @@ def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | 
 
 
 def _lag_attribute(joint: Joint) -> str | None:
-    """The attribute of this actuator that holds a lag: position has one, motor none."""
+    """Return the attribute of this actuator that holds a lag: position has one, motor none."""
     return {"position": "timeconst", "general": "dynprm"}.get(joint.actuator_tag.name)
 
 
 def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
-    """Delay, lag and limits of the actuator."""
+    """Return the changes of the actuator's delay, lag and limits."""
     found = []
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)
@@ -226,5 +223,5 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:
-    """The start tag that a change belongs to."""
-    return joint.joint_tag if change.element == "joint" else joint.actuator_tag
+    """Return the start tag that a change belongs to."""
+    return joint.actuator_tag if change.element == "actuator" else joint.joint_tag

@@ -40,7 +40,7 @@ class Tag:
 
 @dataclass(frozen=True)
 class Document:
-    """The bytes of a file and of all that it includes, and their start tags in the order of the model.
+    """The bytes of a file and its includes, and their start tags in the order of the model.
 
     Attributes:
         main: the file itself.
@@ -57,7 +57,7 @@ def read_document(path: str | Path) -> Document:
     """Read a MuJoCo file and its includes.
 
     Raises:
-        BadInput: no such file, no XML, not a MuJoCo model, an include that is missing or holds itself.
+        BadInput: no such file, not XML, not a MuJoCo model, or an include that is missing or includes itself.
     """
     main = Path(path)
     texts: dict[Path, bytes] = {}
@@ -68,7 +68,7 @@ def read_document(path: str | Path) -> Document:
 
 
 def _tags(file: Path, folder: Path, path: tuple[str, ...], texts: dict[Path, bytes]) -> Iterator[Tag]:
-    """Yield the start tags of a file, those of an included one in the place of its <include>."""
+    """Yield the start tags of a file, with those of an included file in place of its <include>."""
     if file in texts:
         raise BadInput(f"{cleaned(file)}: is included twice; MuJoCo takes each file once")
     try:
@@ -108,28 +108,29 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
 
 
 def _tag_end(text: bytes, start: int) -> int:
-    """Return the place behind the `>` of a start tag; a quoted value may hold one."""
+    """Return the position after the `>` of a start tag; a quoted value may contain one."""
     found = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
-    if found is None:  # two bytes a letter, say
+    if found is None:  # such as an encoding with two bytes a letter
         raise BadInput("the MuJoCo file is not in UTF-8; save it as UTF-8")
     return found.end()
 
 
 @dataclass(frozen=True)
 class Edit:
-    """New values of one tag's attributes, each with what a comment says of it."""
+    """New values of one tag's attributes with comments, and an element to insert before it."""
 
     tag: Tag
     attributes: Mapping[str, str]
     comments: Sequence[str] = ()
+    element: str = ""
 
 
 def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path, bytes]:
-    """Return the bytes of every file with the edits made and a comment behind the root's start tag."""
+    """Return the bytes of every file with the edits applied and a comment after the root's start tag."""
     texts = {file: bytearray(text) for file, text in document.texts.items()}
     root = document.tags[0]
     places = [(e.tag.start, e.tag.end, e.tag.file, e) for e in edits] + [(root.end, root.end, root.file, None)]
-    for start, end, file, edit in sorted(places, key=lambda place: place[0], reverse=True):  # from behind: places hold
+    for start, end, file, edit in sorted(places, key=lambda place: place[0], reverse=True):  # backwards: places stay
         text = texts[file]
         if edit is None:
             text[end:end] = b"\n" + _comment(heading)
@@ -137,7 +138,8 @@ def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path
         line = text.rfind(b"\n", 0, start) + 1
         before = bytes(text[line:start])
         between = b"\n" + before if not before.strip() else b" "
-        said = b"".join(_comment(comment) + between for comment in edit.comments)
+        new = [*map(_comment, edit.comments), *([edit.element.encode()] if edit.element else [])]
+        said = b"".join(part + between for part in new)
         text[start:end] = said + _with_attributes(bytes(text[start:end]), edit.attributes)
     return {file: bytes(text) for file, text in texts.items()}
 
@@ -147,7 +149,7 @@ def _comment(text: str) -> bytes:
 
 
 def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
-    """Replace values in their quotes; a new attribute stands last."""
+    """Replace values in their quotes; a new attribute comes last."""
     for name, value in attributes.items():
         known = re.compile(rb"(\s" + name.encode() + rb"""\s*=\s*)("[^"]*"|'[^']*')""")
         new = escape(value, {'"': "&quot;"}).encode()
@@ -160,7 +162,7 @@ def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
 
 
 def assets(document: Document) -> list[Path]:
-    """List the mesh, texture and other files that the model loads, relative to the main file's folder.
+    """Return the mesh, texture and other files that the model loads, relative to the main file's folder.
 
     A path that leaves the folder, or a file that is not there, is left out.
     """

@@ -1,4 +1,4 @@
-"""The same numbers for Isaac Lab, Newton and URDF, as text to paste; they were not run there.
+"""The same parameters for Isaac Lab, Newton and URDF, as text to paste; not tested in these programs.
 
 Names: `ActuatorBaseCfg` and `DelayedPDActuatorCfg` of Isaac Lab 3 (isaaclab/actuators/actuator_base_cfg.py and
 actuator_pd_cfg.py); `ModelBuilder.JointDofConfig` of Newton 1 (newton/_src/sim/builder.py); URDF's <joint><dynamics>.
@@ -16,18 +16,18 @@ def texts(joint: Joint) -> dict[str, str]:
     """Return the text of each file by its name.
 
     Args:
-        joint: with the robot's numbers, as MuJoCo compiles them.
+        joint: with the robot's parameters, as MuJoCo compiles them.
     """
     return {ISAAC: _isaac(joint), NEWTON: _newton(joint), URDF: _urdf(joint)}
 
 
 def _gains(joint: Joint) -> tuple[float, float]:
-    """Gains about the joint: kp g^2 and kv g^2; none of a motor."""
+    """Return the gains about the joint: kp g^2 and kv g^2; zero for a motor."""
     return (joint.kp * joint.gear**2, joint.kv * joint.gear**2) if joint.position else (0.0, 0.0)
 
 
 def _isaac(joint: Joint) -> str:
-    """A configuration: delayed where the command is late, in whole physics steps; the lag of the drive has none."""
+    """Return a configuration: delayed by whole physics steps if the command is late; a drive's lag is not supported."""
     stiffness, damping = _gains(joint)
     numbers = {
         "stiffness": stiffness, "damping": damping, "armature": joint.armature, "friction": joint.frictionloss,
@@ -53,7 +53,7 @@ def _identifier(name: str) -> str:
 
 
 def _newton(joint: Joint) -> str:
-    """Arguments of a joint's axis."""
+    """Return the arguments of a joint's axis."""
     stiffness, damping = _gains(joint)
     told = {
         "joint": joint.name, "target_ke": stiffness, "target_kd": damping, "armature": joint.armature,
@@ -67,7 +67,7 @@ def _newton(joint: Joint) -> str:
 
 
 def _urdf(joint: Joint) -> str:
-    """A joint's dynamics; URDF has no armature, delay or stiffness."""
+    """Return a joint's dynamics; URDF has no armature, delay or stiffness."""
     return (
         f"<!-- joint {joint.name.replace('--', '- -')}: identified on recordings -->\n"
         f'<dynamics damping="{number(joint.damping, 6)}" friction="{number(joint.frictionloss, 6)}"/>\n'

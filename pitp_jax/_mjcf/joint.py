@@ -16,6 +16,8 @@ import numpy as np
 from .._errors import BadInput, cleaned
 from .document import Document, Tag
 
+_NUDGE = 1e-3  # rad or m: by which a joint is moved to see whether a tendon follows
+
 
 def mujoco_package() -> Any:
     """Import MuJoCo.
@@ -37,8 +39,8 @@ class Joint:
     Attributes:
         name, actuator: their names; the actuator's may be empty.
         numbers: of the joint and of the actuator in the compiled model.
-        joint_tag, actuator_tag: where they stand in the text.
-        hinge: whether it turns (angles in rad) and does not slide (m).
+        joint_tag, actuator_tag: their places in the text.
+        hinge: whether it rotates (angles in rad); otherwise it slides (m).
         position: whether the actuator is a position servo; otherwise a motor.
         kp, kv, gear: of the actuator.
         inertia: about the joint at the model's reference pose, kg m^2 or kg.
@@ -48,7 +50,9 @@ class Joint:
         delay, lag: of the actuator, s.
         timestep: of the simulation, s.
         degrees: whether the file gives angles in degrees.
-        autolimits: whether a range alone limits.
+        autolimits: whether a range alone sets a limit.
+        anchor: of the joint in its body's frame, m.
+        gravity: component that acts on a rotating arm, in the body's frame at q = 0, m/s^2; zero for a slide.
     """
 
     name: str
@@ -73,10 +77,12 @@ class Joint:
     timestep: float
     degrees: bool
     autolimits: bool
+    anchor: tuple[float, ...] = (0.0, 0.0, 0.0)
+    gravity: tuple[float, ...] = (0.0, 0.0, 0.0)
 
     @property
     def torque_per_command(self) -> float:
-        """F, N m (or N) per unit of the command."""
+        """Return F, N m (or N) per unit of the command."""
         return self.kp * self.gear if self.position else self.gear
 
 
@@ -98,10 +104,11 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     Args:
         document: of the file.
         joint: its name.
-        actuator: of several on the joint, the one that was commanded.
+        actuator: the commanded one of several on the joint.
 
     Raises:
-        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, one of another kind.
+        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, or one of another
+            kind.
     """
     mujoco, file = mujoco_package(), cleaned(document.main)
     model = load_model(document.main)
@@ -121,11 +128,13 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     unit[dof] = 1.0
     mujoco.mj_mulM(model, data, column, unit)
     limited = bool(model.jnt_limited[number])
+    hinge = bool(model.jnt_type[number] == kinds.mjJNT_HINGE)
+    _refuse_tendons(mujoco, model, number, file)
     return Joint(
         name=joint, actuator=model.actuator(a).name, numbers=(number, a),
         joint_tag=_joint_tag(document, joint),
         actuator_tag=_actuator_tag(document, joint, model.actuator(a).name, which),
-        hinge=bool(model.jnt_type[number] == kinds.mjJNT_HINGE), position=position,
+        hinge=hinge, position=position,
         kp=float(model.actuator_gainprm[a][0]), kv=-float(model.actuator_biasprm[a][2]),
         gear=float(model.actuator_gear[a][0]), inertia=float(column[dof]),
         stiffness=float(np.ravel(model.jnt_stiffness[number])[0]), damping=float(np.ravel(model.dof_damping[dof])[0]),
@@ -136,7 +145,37 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
         lag=float(model.actuator_dynprm[a][0]) if int(model.actuator_dyntype[a]) in _filters(mujoco) else 0.0,
         timestep=float(model.opt.timestep), degrees=_compiler(document, "angle", "degree") != "radian",
         autolimits=_compiler(document, "autolimits", "true") != "false",
+        anchor=tuple(map(float, model.jnt_pos[number])),
+        gravity=_gravity(mujoco, model, number) if hinge else (0.0, 0.0, 0.0),
     )  # fmt: skip
+
+
+def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
+    """Return the component of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
+    data = mujoco.MjData(model)
+    data.qpos[model.jnt_qposadr[joint]] = 0.0
+    mujoco.mj_forward(model, data)
+    g, axis = np.array(model.opt.gravity), np.array(data.xaxis[joint])
+    frame = np.array(data.xmat[model.jnt_bodyid[joint]]).reshape(3, 3)
+    return tuple(map(float, frame.T @ (g - axis * (g @ axis))))
+
+
+def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
+    """Refuse a joint whose motion changes the length of a tendon, because its parameters are not the joint's alone."""
+    if not model.ntendon:
+        return
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    before = np.array(data.ten_length)
+    data.qpos[model.jnt_qposadr[joint]] += _NUDGE
+    mujoco.mj_forward(model, data)
+    moved = [model.tendon(k).name for k in np.flatnonzero(np.abs(data.ten_length - before) > 1e-9)]
+    if moved:
+        other = [model.joint(k).name for k in range(model.njnt) if _driving(mujoco, model, k) and k != joint]
+        raise BadInput(
+            f"{file}: joint {model.joint(joint).name!r} moves tendon {_listed(moved)}, whose force is not the joint's; "
+            f"joints with an actuator: {_listed(other)}"
+        )
 
 
 def _effort(model: Any, a: int) -> float | None:
@@ -146,7 +185,7 @@ def _effort(model: Any, a: int) -> float | None:
 
 
 def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
-    """List the actuators that act on a joint itself, by number."""
+    """Return the indices of the actuators that act on a joint itself."""
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return [
         k for k in range(model.nu) if int(model.actuator_trntype[k]) in of_joint and model.actuator_trnid[k][0] == joint
@@ -154,7 +193,7 @@ def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
 
 
 def _one_actuator(file: str, joint: str, names: Sequence[str], wanted: str | None) -> int:
-    """Return which of the joint's actuators is meant."""
+    """Return the index of the requested actuator of the joint."""
     if wanted is not None:
         if wanted not in names:
             raise BadInput(f"{file}: no actuator {wanted!r} drives joint {joint!r}; it has {_listed(names)}")

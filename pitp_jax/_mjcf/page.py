@@ -1,11 +1,13 @@
-"""The page of a verification: the gap before and after, and every recording beside MuJoCo."""
+"""The page of a verification: the gap before and after, and every recording with MuJoCo's response."""
+
+from collections.abc import Mapping
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from .._report import html
 from .._report.html import tag
-from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
+from .._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes, some_periods
 from .._report.numbers import figure, shown_unit
 from .._table.units import from_base
 from .verify import Played, Verification
@@ -13,8 +15,13 @@ from .verify import Played, Verification
 _DRAWN = 12  # recordings
 
 
-def page(found: Verification) -> str:
-    """Write a self-contained HTML page."""
+def figures(found: Verification) -> dict[str, Figure]:
+    """Draw the first recordings with MuJoCo's response, by the recording's name."""
+    return {p.record.name: _drawn(p) for p in found.played[:_DRAWN]}
+
+
+def page(found: Verification, drawn: Mapping[str, Figure]) -> str:
+    """Return the verification as a self-contained HTML page, with the figures of `figures`."""
     headline = "The changed file is closer to the robot" if found.better else "The gap in MuJoCo"
     if found.better is False:
         headline = "The changed file is not closer to the robot"
@@ -28,8 +35,8 @@ def page(found: Verification) -> str:
     bold = " Bold: not used by the diagnosis." if any(p.held_out for p in found.played) else ""
     header = ("recording", "used by the diagnosis", "gap before", "gap after")
     pictures = [
-        html.picture(f"recording_{k}", _drawn(p), f"{p.record.name}: robot and MuJoCo under the same command")
-        for k, p in enumerate(found.played[:_DRAWN])
+        html.picture(f"recording_{k}", drawing, f"{name}: robot and MuJoCo under the same command")
+        for k, (name, drawing) in enumerate(drawn.items())
     ]
     return html.page(headline, [
         tag("p", f"Joint {found.joint} of {found.mjcf}, MuJoCo {found.version}", "soft"),
@@ -43,13 +50,13 @@ def page(found: Verification) -> str:
 def _drawn(played: Played) -> Figure:
     record, unit = played.record, played.record.displacement_unit
     axes = own_axes(None, 1, (5.6, 2.6))
-    time = record.time - record.time[0]
-    for values, color, width, label in (  # the robot broad and below: it shows beside a line that lies on it
-        (record.displacement, MEASURED, 2.6, "robot"), (played.before, ERROR, 0.8, "before"),
-        (played.after, PREDICTED, 0.8, "after"),
+    time, part = record.time - record.time[0], some_periods(record.displacement)
+    for values, color, width, label in (  # the robot's line is wide and below, so that it stays visible
+        (record.displacement, MEASURED, 2.6, "robot"), (played.before, ERROR, 0.8, "MuJoCo, before"),
+        (played.after, PREDICTED, 0.8, "MuJoCo, after"),
     ):  # fmt: skip
         if values is not None:
-            line(axes[0], time, np.asarray(from_base(values, unit)), color=color, lw=width, label=label)
+            line(axes[0], time[part], np.asarray(from_base(values, unit))[part], color=color, lw=width, label=label)
     finish(np.array([axes[0]]), "time (s)", [f"position ({shown_unit(unit)})"])
     assert isinstance(axes[0].figure, Figure)
     return axes[0].figure

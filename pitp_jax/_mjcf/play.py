@@ -1,4 +1,4 @@
-"""Play the commands of recordings in MuJoCo: each command held for its period, from the recording's first state.
+"""Play the commands of recordings in MuJoCo: each command held for its period, from the recording's initial state.
 
 q(t_k) at the recording's own times;   q(0), q'(0) from its first samples;   other joints stay at their reference
 """
@@ -14,7 +14,7 @@ from .._record.record import Record
 from .document import read_document
 from .joint import joint_of, load_model, mujoco_package
 
-_FIRST = 4  # samples that tell where a recording begins and how fast
+_FIRST = 4  # samples that determine initial position and speed
 
 
 def play(mjcf: str | Path, joint: str, records: Sequence[Record], actuator: str | None = None) -> list[np.ndarray]:
@@ -60,14 +60,14 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
     for k in range(count):
         data.ctrl[actuator] = held[k]
         mujoco.mj_step(model, data)
-        if data.time < before or not np.isfinite(data.qpos[place]):  # a simulation that diverges begins anew
+        if data.time < before or not np.isfinite(data.qpos[place]):  # MuJoCo restarts a simulation that diverged
             break
         before, angle[k + 1] = data.time, data.qpos[place]
     return np.interp(times, np.arange(count + 1) * step, angle)
 
 
 def first_state(record: Record) -> tuple[float, float]:
-    """Position and speed at the first sample: a line through the first four, at rest where its slope is noise.
+    """Return position and speed at the first sample from a line through four; at rest if its slope is noise.
 
     The noise is that of third differences, s^2 = mean (d^3 y)^2 / 20, which no smooth motion has.
     """
@@ -84,7 +84,7 @@ def first_state(record: Record) -> tuple[float, float]:
 
 
 def _hold_the_others(mujoco: Any, model: Any, data: Any, actuator: int) -> None:
-    """Command the other position servos to where their joints stand."""
+    """Command the other position servos to the positions of their joints."""
     for k in range(model.nu):
         joint, of_joint = model.actuator_trnid[k][0], int(model.actuator_trntype[k]) == int(mujoco.mjtTrn.mjTRN_JOINT)
         if k != actuator and of_joint and model.actuator_biasprm[k][1] < 0:

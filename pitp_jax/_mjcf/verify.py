@@ -1,4 +1,4 @@
-"""Play the recordings' commands in MuJoCo before and after the change: how far the gap to the robot shrinks there.
+"""Play the recordings' commands in MuJoCo before and after the change, and compare the gaps to the robot.
 
 gap = rms(q_robot - q_mujoco) / (max q_robot - min q_robot),   pooled over recordings
 better where the mean over blocks of e_before^2 - e_after^2 is above twice its standard error
@@ -24,11 +24,11 @@ _BLOCKS = 8  # of each recording
 
 @dataclass(frozen=True)
 class Played:
-    """One recording beside MuJoCo.
+    """One recording with MuJoCo's responses.
 
     Attributes:
         record: of the robot.
-        held_out: whether the diagnosis had not seen it.
+        held_out: whether the diagnosis did not use it.
         before, after: joint position in MuJoCo at its samples, base unit; `before` None without such a file.
     """
 
@@ -38,7 +38,7 @@ class Played:
     after: np.ndarray
 
     def gap(self, after: bool = True) -> float:
-        """Rms of the difference, % of the recording's range; inf where the simulation diverged."""
+        """Return the rms of the difference, % of the recording's range; inf if the simulation diverged."""
         return _gap([self], after)
 
 
@@ -57,7 +57,7 @@ class Verification:
     played: tuple[Played, ...]
 
     def gap(self, held_out: bool, after: bool = True) -> float | None:
-        """Pooled gap of the recordings that the diagnosis used, or of those that it did not; None without any."""
+        """Return the pooled gap of the recordings that the diagnosis used, or of the others; None if there are none."""
         these = [p for p in self.played if p.held_out == held_out]
         if not these or (not after and these[0].before is None):
             return None
@@ -65,7 +65,7 @@ class Verification:
 
     @property
     def better(self) -> bool | None:
-        """Whether the new file is better beyond the noise, on held-out recordings where there are any.
+        """Return whether the new file is better beyond the noise, on held-out recordings if there are any.
 
         None without a file to compare with.
         """
@@ -86,7 +86,7 @@ class Verification:
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
 
     def lines(self) -> list[str]:
-        """Sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = []
         for held_out, words in ((False, "recordings of the diagnosis"), (True, "other recordings")):
             after, before = self.gap(held_out), self.gap(held_out, after=False)
@@ -101,7 +101,7 @@ class Verification:
         return "\n".join(self.lines())
 
     def as_json(self) -> dict[str, Any]:
-        """For machines: gaps in % of range."""
+        """Return a dict for JSON: gaps in % of range."""
 
         def part(held_out: bool) -> dict | None:
             after = self.gap(held_out)
@@ -134,9 +134,9 @@ def verify_mjcf(
     Args:
         records: of the robot, angles in rad or positions in m, commands in the unit of ctrl.
         mjcf: the changed file.
-        joint, actuator: whose command and motion were recorded.
+        joint, actuator: with the recorded command and motion.
         before: the file as it was.
-        held_out: recordings that the diagnosis has not seen.
+        held_out: recordings that the diagnosis did not use.
 
     Returns:
         gaps in % of range.

@@ -1,6 +1,6 @@
-"""Write the identified numbers into a copy of the user's MuJoCo file: attributes change, all else stays.
+"""Write the identified parameters into a copy of the user's MuJoCo file; only attributes change.
 
-out/arm_identified.xml    and beside it what the model includes and loads, so that it can be played where it lies
+out/arm_identified.xml    and beside it the files that it includes and loads, so that it can be played in place
 """
 
 import hashlib
@@ -23,24 +23,25 @@ from .._record.writing import write_bytes_atomic, write_text_atomic
 from .._report.numbers import number
 from .._table.units import base_unit
 from . import elsewhere
-from .changes import Change, NotWritten, changes_of, tag_of
+from .change import Change, NotWritten
+from .changes import changes_of, tag_of
 from .document import Document, Edit, assets, edited, read_document
 from .joint import Joint, joint_of, load_model, mujoco_package
 
 _SUFFIX = "_identified"
-_APART = 0.1  # share by which the simulator's recordings and its file may differ in inertia before it is said
+_APART = 0.1  # fraction by which the inertia of recordings and file may differ before a remark
 
 
 @dataclass(frozen=True)
 class Written:
-    """What was written into a MuJoCo file.
+    """The result of writing a MuJoCo file.
 
     Attributes:
         file: the new file.
         joint, actuator: their names.
         changes: attributes with old and new value.
-        left: numbers that no attribute holds, with the nearest way.
-        remarks: what the user should know.
+        left: parameters that no attribute holds, with the nearest alternative.
+        remarks: remarks for the user.
     """
 
     file: Path
@@ -51,14 +52,14 @@ class Written:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Sentences for the terminal."""
-        said = [f"{c.element} {self.joint if c.element == 'joint' else self.actuator or 'on it'}: {c.text}"
+        """Return the result as sentences for the terminal."""
+        said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
         return [*said, *left, *self.remarks]
 
     def as_json(self) -> dict[str, Any]:
-        """For machines."""
+        """Return a dict for JSON."""
         return {
             "file": str(self.file), "joint": self.joint, "actuator": self.actuator,
             "changes": [vars(c) for c in self.changes], "not_written": [vars(n) for n in self.left],
@@ -69,22 +70,22 @@ class Written:
 def write_mjcf(
     found: SimToReal, mjcf: str | Path, joint: str, out: str | Path, *, actuator: str | None = None
 ) -> Written:
-    """Write what the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
+    """Write the parameters that the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
 
-    Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
-    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and
-    `timeconst` where the installed MuJoCo knows them. Each change has a comment with the old value, the new one and its
-    95 % interval.
+    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
+    `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
+    `delay` with `nsample` and `timeconst` if the installed MuJoCo knows them. Each change has a comment with the old
+    value, the new one and its 95 % interval.
 
     Args:
         found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
         mjcf: the file.
         joint: whose motion was recorded.
         out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
-        actuator: that was commanded, where several drive the joint.
+        actuator: the commanded one, if several act on the joint.
 
     Returns:
-        the changes, and what could not be written.
+        the changes, and the parameters that could not be written.
 
     Raises:
         BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
@@ -101,23 +102,25 @@ def write_numbers(
     told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
     out: str | Path, actuator: str | None = None,
 ) -> Written:  # fmt: skip
-    """Write a table of numbers into a copy of a file.
+    """Write a table of parameters into a copy of a file.
 
     Args:
-        told: numbers of the simulator and the robot, in the command's unit.
+        told: parameters of the simulator and the robot, in the command's unit.
         records: of the robot.
         simulator: its coefficients a_i, shape (order + 1,).
         mjcf, joint, out, actuator: as for `write_mjcf`.
     """
     document = read_document(mjcf)
     it = joint_of(document, joint, actuator)
-    changes, left = changes_of(it, told)
+    changes, left, element = changes_of(it, told)
     changes, unknown = _known_to_mujoco(it, changes)
     remarks = _remarks(records, simulator, it)
-    edits = [
-        Edit(tag_of(it, group[0]), {c.attribute: c.new for c in group}, [c.text for c in group if c.text])
-        for element in ("joint", "actuator") if (group := [c for c in changes if c.element == element])
-    ]  # fmt: skip
+    edits = []
+    for of, inserted in (("joint", element), ("actuator", "")):
+        group = [c for c in changes if c.element == of or (inserted and c.element == "body")]
+        if group:
+            attributes = {c.attribute: c.new for c in group if c.element == of}
+            edits.append(Edit(tag_of(it, group[0]), attributes, [c.text for c in group if c.text], inserted))
     texts = edited(document, edits, _heading(records, document))
     target = _write_all(document, texts, Path(out))
     after = joint_of(read_document(target), joint, actuator)
@@ -127,7 +130,7 @@ def write_numbers(
 
 
 def _heading(records: Sequence[Record], document: Document) -> str:
-    """The comment at the top: where the numbers come from."""
+    """Return the comment at the top, with the origin of the numbers."""
     period = sorted({number(1e3 * r.dt) for r in records})
     original = hashlib.sha256(document.texts[document.main]).hexdigest()
     lines = [
@@ -139,7 +142,7 @@ def _heading(records: Sequence[Record], document: Document) -> str:
 
 
 def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> list[str]:
-    """Say where the file and the simulator's recordings disagree, and what the units leave open."""
+    """Return remarks on disagreements of the file and the simulator's recordings, and on units."""
     said = []
     seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
     if abs(seen - it.inertia) > _APART * it.inertia:
@@ -154,12 +157,12 @@ def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> lis
 
 
 def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], list[NotWritten]]:
-    """Split off the changes whose attributes the installed MuJoCo does not know."""
+    """Return the changes that the installed MuJoCo supports, and the others."""
     mujoco = mujoco_package()
     known, unknown = [], []
     for change in changes:
         tag = tag_of(it, change)
-        if _attribute_exists(mujoco, tag.name, change.attribute):
+        if change.element == "body" or _attribute_exists(mujoco, tag.name, change.attribute):
             known.append(change)
         elif change.text:
             unknown.append(
@@ -169,7 +172,7 @@ def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], li
 
 
 def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
-    """Ask the parser of the installed version: its message for an attribute that it does not know says so."""
+    """Return whether the installed MuJoCo knows an attribute, from the error message of its parser."""
     body = f'<{element} joint="q" {attribute}="x"/>' if element != "joint" else f'<joint name="r" {attribute}="x"/>'
     inside, driven = (body, "") if element == "joint" else ("", f"<actuator>{body}</actuator>")
     text = f'<mujoco><worldbody><body><joint name="q"/>{inside}<geom size="1"/></body></worldbody>{driven}</mujoco>'
@@ -181,10 +184,10 @@ def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
 
 
 def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
-    """Write every file; MuJoCo compiles them first in a folder of their own, so that nothing half-right is left.
+    """Write every file, after MuJoCo has compiled them in a temporary folder, so that no invalid file remains.
 
     Raises:
-        BadInput: MuJoCo refuses what would be written.
+        BadInput: MuJoCo rejects the new file.
     """
     main = document.main
     target = out if out.suffix == ".xml" else out / identified_name(main)
@@ -208,7 +211,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
 
 
 def identified_name(mjcf: str | Path) -> str:
-    """Name of the copy with the identified numbers: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
+    """Return the file name of the identified copy: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
     return f"{Path(mjcf).stem.removesuffix(_SUFFIX)}{_SUFFIX}.xml"
 
 

@@ -1,10 +1,10 @@
-"""The one kind of model that is identified, trained, rolled out, inverted, diagnosed, saved: frozen pytrees.
+"""The model: one frozen pytree that is identified, trained, simulated, inverted, diagnosed and saved.
 
     F = sigma_off + sum_i sigma_i(S, m) x^(i),    F = map(V),  V = drive(u),    S = [x, ..., x^(n-1)]  (paper, eqs. 2-7)
 
-Parts: encoder (what the model sees to tokens), memory (what it sees beside S), input map (u^2 or u), drive (the
-electrodes), output (the sensor's zero and direction), domain (what it was shown) and the effects of `_effects`. A
-`Fitted` is a model beside its origin.
+Parts: encoder (features to tokens), memory (features beside S), input map (u^2 or u), drive (the electrodes), output
+(sensor offset and direction), domain (range of the training data) and the effects of `_effects`. A `Fitted` is a model
+with its origin.
 """
 
 from .domain import Domain as Domain

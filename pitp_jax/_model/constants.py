@@ -1,6 +1,6 @@
-"""Numbers of a model that no training moves: scales, sampling interval, limits, the sensor's offset.
+"""Constants of a model that training does not change: scales, sampling interval, limits, sensor offset.
 
-They are Python's floats, so `eqx.is_inexact_array` passes over them: the inexact arrays of a model are its parameters.
+They are Python floats, so `eqx.is_inexact_array` skips them: the inexact arrays of a model are its parameters.
 `jax.jit` traces them, Equinox's jit keeps them as constants, and the package's own programs take them as arguments
 (`programs.jit`), so that models of any scale share one program.
 """
@@ -20,17 +20,17 @@ class Constants(eqx.Module):
 
 
 def number(value) -> Any:
-    """Convert one number to a float; a traced value stays as it is."""
+    """Convert one number to a float; a traced value stays unchanged."""
     return value if isinstance(value, Tracer) else float(value)
 
 
 def numbers(values) -> tuple:
-    """Convert an array of any shape to tuples of floats; traced values stay as they are."""
+    """Convert an array of any shape to tuples of floats; traced values stay unchanged."""
     return tuple(numbers(v) if np.ndim(v) else number(v) for v in values)
 
 
 class ConstantArray(Constants):
-    """An array of constants; a model file stores it as an array of float32.
+    """An array of constants, stored in model files as float32.
 
     Attributes:
         values: nested tuples of floats.
@@ -40,7 +40,7 @@ class ConstantArray(Constants):
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Shape of the array."""
+        """Return the shape of the array."""
         return np.shape(self.values)
 
     def array(self, dtype) -> Float[Array, "..."]:
@@ -48,12 +48,12 @@ class ConstantArray(Constants):
         return jnp.asarray(self.values, dtype)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        """Convert to NumPy's array, for the host."""
+        """Convert to a NumPy array on the host."""
         return np.asarray(self.values, dtype)
 
 
 def constant_array(values) -> ConstantArray:
-    """Convert an array to a constant one, its numbers rounded to float32 as model files keep them."""
+    """Return an array as constants, rounded to float32 as in model files."""
     if isinstance(values, ConstantArray):
         return values
     return ConstantArray(values if isinstance(values, Tracer) else np.asarray(values, np.float32))
@@ -69,5 +69,5 @@ def _is_constant(part) -> bool:
 
 
 def _as_arrays(part):
-    # the structure stays: a part that `eqx.partition` took apart still fits its other half
+    # the structure stays, so that a part from `eqx.partition` still fits its other half
     return jax.tree.map(lambda v: np.float64(v) if type(v) is float else v, part) if _is_constant(part) else part

@@ -1,10 +1,10 @@
-"""The one coordinate of a displacement y: 0 at 0 V. Every command, page and export uses it.
+"""The coordinate of every displacement y in commands, pages and exports: 0 at 0 V.
 
     y = s x,    s = 1 behind a square (y grows as the actuator extends), the sensor's direction behind a linear input
     reading = direction x + offset
 
-x is the model's own displacement (m), `reading` is what the sensor shows. `predict` compares with recordings and
-therefore keeps the sensor's readings.
+x is the model's own displacement (m), `reading` is the sensor's. `predict` compares with recordings and therefore keeps
+the sensor's readings.
 """
 
 from typing import Any, Literal, TypeVar
@@ -21,24 +21,24 @@ Zero = (
 
 
 def sign(model: Model) -> Any:
-    """Return s, +1 or -1: what takes the model's displacement to the coordinate, and back."""
+    """Return s, +1 or -1, which converts the model's displacement to the coordinate, and back."""
     return 1.0 if model.input_map.one_sided else model.output.polarity
 
 
 def direction(model: Model) -> float:
-    """Return +1 where the sensor's reading grows with the coordinate, -1 for a reversed sensor."""
+    """Return +1 if the sensor's reading increases with the coordinate, -1 for a reversed sensor."""
     return model.output.polarity if model.input_map.one_sided else 1.0
 
 
 def from_model(model: Model, x: Values, zero: Zero = "rest") -> Values:
-    """Convert the model's displacement x (m) to the coordinate (m), or to another zero."""
+    """Convert the model's displacement x (m) to the coordinate (m), or relative to another offset."""
     if zero == "sensor":
         return model.output.to_rig(x)
     return sign(model) * x + (0.0 if zero == "rest" else zero)
 
 
 def to_model(model: Model, y: Values, zero: Zero = "rest") -> Values:
-    """Convert a displacement in the coordinate (m), or with another zero, to the model's x (m)."""
+    """Convert a displacement from the coordinate (m), or relative to another offset, to the model's x (m)."""
     if zero == "sensor":
         return model.output.to_model(y)
     return sign(model) * (y - (0.0 if zero == "rest" else zero))

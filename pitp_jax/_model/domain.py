@@ -1,7 +1,7 @@
-"""The domain of a model: how its records were sampled and driven, and which features they reached.
+"""The domain of a model: the sampling and voltages of its records, and the range of its features.
 
-Its numbers are `constants`: exact on the host, and no parameters of the model. The sampling interval is static: a
-program is made for one.
+Its numbers are `constants`: exact on the host, and not parameters of the model. The sampling interval is static: each
+program has its own.
 """
 
 from collections.abc import Sequence
@@ -16,14 +16,14 @@ from .constants import Constants, number, numbers
 
 
 class Domain(Constants):
-    """What a model was shown, which is where it may be trusted.
+    """The range of the training records, within which a model is valid.
 
     Attributes:
         dt: sampling interval of the records, s.
-        voltage_range: lowest and highest drive voltage, V.
+        voltage_range: lowest and highest voltage, V.
         slew: highest slew of the voltage, V/s.
-        region: lowest and highest value of every feature (S then memory, scaled); no row where nothing was trained.
-        clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
+        region: lowest and highest value of every feature (S then memory, scaled); no row without training.
+        clock: time of the records' clock at the start of their session, s; 0 unless it is absolute time.
     """
 
     dt: float = eqx.field(converter=number, static=True)
@@ -33,12 +33,12 @@ class Domain(Constants):
     clock: float = eqx.field(converter=number, default=0.0)
 
     def age(self, time: float) -> float:
-        """How long the session had lasted when a clock showed this time, s; 0 by a clock of another kind."""
+        """Return the duration of the session (s) at this time of the clock; 0 for a clock of another kind."""
         age = float(time) - float(self.clock)
         return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Domain":
-        """Widen range and slew of the voltage to those of these records."""
+        """Return the domain with voltage range and slew widened to those of these records."""
         low, high = self.voltage_range
         return replace(
             self,

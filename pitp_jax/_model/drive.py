@@ -1,10 +1,10 @@
-"""Drives: what lies between the amplifier's voltage u and the voltage V across the film, before it is squared.
+"""Drives: the dynamics between the amplifier's voltage u and the voltage V across the film, before the square.
 
 direct        V = u
 electrode     tau V' = u - V          u linear between samples; V = 0 at rest, settled where a record starts moving
 
 An electrode's sheet resistance charges the film's capacitance through a lag. It acts before the square, so no lag of
-the force or of the sensor replaces it (what it is worth: docs/decisions/parts.md).
+the force or of the sensor replaces it (its benefit: docs/decisions/parts.md).
 """
 
 from abc import abstractmethod
@@ -21,15 +21,15 @@ class AbstractDrive(eqx.Module):
 
     @abstractmethod
     def film(self, voltage: Float[Array, " time"], dt: float, rest: Bool[Array, ""]) -> Float[Array, " time"]:
-        """Compute the film voltage V along a sampled drive u; `rest`: the record starts from rest, uncharged."""
+        """Compute the film voltage V for a sampled voltage u; `rest`: whether the record starts at rest, uncharged."""
 
     @abstractmethod
     def lead(self, film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-        """Compute the drive u for a smooth V by the continuous equation."""
+        """Compute the voltage u for a smooth V by the continuous equation."""
 
     @abstractmethod
     def undo(self, film: Float[Array, " time"], dt: float, first: Float[Array, ""]) -> Float[Array, " time"]:
-        """Compute the drive u whose `film` is exactly V, sample by sample, given u(0)."""
+        """Compute the voltage u whose `film` is exactly V, sample by sample, given u(0)."""
 
 
 class DirectDrive(AbstractDrive):
@@ -55,7 +55,7 @@ class ElectrodeLag(AbstractDrive):
 
     def film(self, voltage, dt, rest):
         """Solve the lag exactly for u linear between samples."""
-        # a record cut out of a longer one shows no charging: the film is at the drive's voltage already
+        # a record cut from a longer one shows no charging: the film already has the input voltage
         start = jnp.where(rest, 0.0, voltage[0])
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
 
@@ -77,6 +77,6 @@ class ElectrodeLag(AbstractDrive):
 
 
 def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Differentiate by central differences of 4th order (2nd next to the ends, one-sided of 1st at them)."""
+    """Return the derivative by central differences of 4th order (2nd next to the ends, one-sided 1st at them)."""
     inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
     return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)

@@ -1,4 +1,4 @@
-"""Encoders map what the model sees now (state S and memory m, scaled) to tokens (paper, eqs. 4 and 5).
+"""Encoders map features (scaled state S and memory m) to the model's tokens (paper, eqs. 4 and 5).
 
     sigma_i = sigma_i^0 g(l_i),    sigma_off = l_off,    l = encoder(S, m)
 
@@ -21,10 +21,10 @@ from .positive import logit_of, positive_factor
 from .relu_tables import logits_by_tables
 from .rows import Rows, affine, as_product, vmapped, written_out
 
-# layers at one instant (vmapped, differentiated) are products, over many written out
+# at one instant (vmapped, differentiated) layers are products, over many written out
 Way = Literal["instant", "instants"]
 _NO_BOUND = 1e6  # scaled features are of order one
-_WRITTEN_OUT = 32  # hidden units of a net; beyond, a matrix product is faster and compiles faster
+_WRITTEN_OUT = 32  # hidden units of a net; above, a matrix product is faster and compiles faster
 _FEW = 256  # instants for which the paper's tables cost more to build than they save
 
 
@@ -35,26 +35,26 @@ class AbstractEncoder(eqx.Module):
     def __call__(
         self, features: Float[Array, " features"], *, key: PRNGKeyArray | None = None
     ) -> Float[Array, " tokens"]:
-        """Compute the logits, shape (n + 2,); `key` turns dropout on where the encoder has any."""
+        """Compute the logits, shape (n + 2,); `key` turns dropout on if the encoder has any."""
 
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
-        """Build fn(features): logits, one row per token and one for the offset, of instants of any shape.
+        """Return fn(features): logits, one row per token and one for the offset, for instants of any shape.
 
-        What is constant is computed here, once, and not at every step of a scan.
+        Constant parts are computed once here, not at every step of a scan.
         """
         return lambda features: vmapped(self, features)
 
     @abstractmethod
     def scaled(self, factor: float) -> "AbstractEncoder":
-        """Scale the last layer by `factor`: at 0 the encoder is the identified linear model."""
+        """Return the encoder with its last layer times `factor`; factor 0 gives the identified linear model."""
 
     def token_nets(self) -> "AbstractEncoder":
-        """Mark by 1 the weights of nets that a polynomial of the same inputs stands beside, all others by 0."""
+        """Return 1 for the weights of nets with a parallel polynomial of the same inputs, 0 for all others."""
         return jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
 class ConstantEncoder(AbstractEncoder):
-    """Constant tokens: the identified linear model."""
+    """An encoder with constant tokens: the identified linear model."""
 
     outputs: int = eqx.field(static=True)
 
@@ -63,22 +63,22 @@ class ConstantEncoder(AbstractEncoder):
         return jnp.zeros((self.outputs,), features.dtype)
 
     def over(self, way="instants"):
-        """Build the function that returns zeros."""
+        """Return a function that returns zeros."""
         return lambda features: [jnp.zeros_like(features[0])] * self.outputs
 
     def scaled(self, factor):
-        """Return the encoder itself: zeros stay zeros."""
+        """Return the encoder itself, because zeros stay zeros."""
         return self
 
 
 class _Net(eqx.Module):
-    """One hidden tanh layer, whose readout begins at zero: an untrained net leaves the nominal as it is."""
+    """One hidden tanh layer with a readout of zeros, so that an untrained net does not change the nominal model."""
 
     hidden: eqx.nn.Linear
     readout: eqx.nn.Linear
 
     def __init__(self, features, outputs, width, key):
-        # the hidden layer is random: with zeros in both no gradient would reach either
+        # the hidden layer is random, because with zeros in both no gradient would reach either
         first, second = jax.random.split(key)
         self.hidden = _linear(features, width, key=first)
         self.readout = _zero(_linear(width, outputs, key=second))
@@ -88,7 +88,7 @@ class _Net(eqx.Module):
 
 
 def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
-    """Build fn(features): outputs of nets that each see some columns."""
+    """Return fn(features): outputs of nets that each see some columns."""
     widest = max(len(net.hidden.weight) for net, _ in nets)
     layer = as_product if way == "instant" or widest > _WRITTEN_OUT else written_out
     layers = [(layer(*affine(net.hidden)), layer(*affine(net.readout)), columns) for net, columns in nets]
@@ -98,26 +98,26 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 class CompactEncoder(AbstractEncoder):
-    """Small nets beside low polynomials, each token seeing only what it may depend on (preset `default`).
+    """Small nets with low-order polynomials, each token limited to its own inputs (preset `default`).
 
         sigma_0, sigma_n           = spring(x)                    + sum_{k=1}^{3} w_k x^k
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
         sigma_off                  = past(x, m_fast)              + sum_k (a_k + b_k x + c_k x^2) m_k
 
-    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force
-    f(x, m) is sigma_0 x + sigma_off, so nothing is lost by keeping velocity and memory out of sigma_0 and sigma_n; what
-    is won is that neither can pump energy. The net sees the fast memories only: what it learns of the slow ones does
-    not hold beyond the training records (docs/decisions/training.md).
+    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force f(x,
+    m) is sigma_0 x + sigma_off, so sigma_0 and sigma_n need neither velocity nor memory. Without them neither token can
+    add energy. The net receives only the fast memories, because its dependence on slow ones does not hold beyond the
+    training records (docs/decisions/training.md).
 
-    Features are clipped to `bounds` first, so tokens stay where training put them: outside, the spring is linear.
+    Features are first clipped to `bounds`, so tokens stay in their trained range: outside, the spring is linear.
 
-    `frugal`: without nets that see memories, for few excitations, where such nets learn what was played.
+    `frugal`: without nets of memories, for few excitations, because such nets would memorise the inputs.
 
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
         all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
-    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
-    one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).
+    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without one
+    no token can express a remaining force at x = 0), `frugal`, bounds of shape (2, features).
     """
 
     spring: _Net
@@ -163,7 +163,7 @@ class CompactEncoder(AbstractEncoder):
         return jnp.stack(self.over("instant")(list(features)))
 
     def over(self, way="instants"):
-        """Build the formula of the class for rows of any shape."""
+        """Return the formula of the class for rows of any shape."""
         n, (low, high) = self.order, self.bounds.array(self.spring_poly.dtype)
         memories, sums = len(low) - n, as_product if way == "instant" else written_out
         moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
@@ -171,11 +171,11 @@ class CompactEncoder(AbstractEncoder):
         nets = _nets([(net, c) for net, c in seen_by if net is not None], way)
 
         def logits(features: Rows) -> Rows:
-            # a cubic would run away outside the data; clipped, the tokens stay and the spring goes on linearly
+            # a cubic diverges outside the data; with clipping, tokens stay constant and the spring continues linearly
             seen = [jnp.clip(f, low[i], high[i]) for i, f in enumerate(features)]
             (x, *_), state, memory, outputs = seen, seen[:n], seen[n:], iter(nets(seen))
             powers = [x, x * x, x * x * x]
-            # a net's outputs are the bias that its polynomial adds to
+            # the polynomial is added to a net's outputs as a bias
             first, last = sums(self.spring_poly, next(outputs))(powers)
             products = [*state, *(state[i] * state[k] for i, k in zip(*np.triu_indices(n), strict=True))]
             middle = [] if self.damping is None else sums(self.damping_poly, next(outputs))(products)
@@ -186,7 +186,7 @@ class CompactEncoder(AbstractEncoder):
             if self.coupling is None:
                 return [*raw, offset]
             common = jnp.exp(sum(c * power for c, power in zip(self.coupling, powers, strict=True)))
-            # the token g(l) is multiplied, not the logit: a coupling of force divides every token alike
+            # the token g(l) is multiplied, not the logit: a force coupling divides every token by the same factor
             for k in np.flatnonzero(shared_by(n)):
                 raw[k] = logit_of(positive_factor(raw[k]) * common)
             return [*raw, offset * common]
@@ -194,7 +194,10 @@ class CompactEncoder(AbstractEncoder):
         return logits
 
     def scaled(self, factor):
-        """Scale readouts, polynomials, weights of memories and coupling: the logits are linear in all but the last."""
+        """Return the encoder with readouts, polynomials, memory weights and coupling times `factor`.
+
+        The logits are linear in all of them except the coupling.
+        """
 
         def outputs(e):
             readouts = tuple(net.readout for net in (e.spring, e.damping, e.past) if net is not None)
@@ -204,7 +207,7 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Mark the nets of spring and damping, which stand beside polynomials."""
+        """Mark the nets of spring and damping, which have parallel polynomials."""
 
         def nets(e):
             return tuple(net for net in (e.spring, e.damping) if net is not None)
@@ -213,15 +216,15 @@ class CompactEncoder(AbstractEncoder):
 
 
 class AdaptedEncoder(AbstractEncoder):
-    """Adapt an encoder to another day: its creep and its restoring force times factors, tilted over the stroke.
+    """Adapt an encoder to another day by factors on creep and restoring force that vary over the stroke.
 
         logits(S, m) = inner(S, x + creep_k (m_k - x)),       t = clip(x, low, high) - middle
         all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
         sigma_off times offset
 
-    A memory that has settled (m = x) is seen as it is, so what the actuator does in the long run is kept, and what it
-    does on the way there is scaled. `creep`: a factor for each of the last features, which are lags of x. `reach`: low,
-    middle, high. From order 3 on sections are not tilted one by one, and the second tilt is the offset's alone.
+    A settled memory (m = x) does not change, so the long-term behaviour is kept and the transient is scaled. `creep`: a
+    factor for each of the last features, which are lags of x. `reach`: low, middle, high. From order 3 on sections are
+    not changed one by one, and the second slope applies to the offset alone.
     """
 
     inner: AbstractEncoder
@@ -236,43 +239,43 @@ class AdaptedEncoder(AbstractEncoder):
         return jnp.stack(self._tilted(rows[0], list(self.inner(jnp.stack(self._seen(rows)), key=key))))
 
     def over(self, way="instants"):
-        """Build the formula of the class around the inner encoder's."""
+        """Return the formula of the class around the inner encoder's."""
         inner = self.inner.over(way)
         return lambda features: self._tilted(features[0], list(inner(self._seen(list(features)))))
 
     def _seen(self, features: list[Array]) -> list[Array]:
         first = len(features) - len(self.creep)
-        # by the distance from x: what has settled is seen as it is
+        # by the distance from x, so that a settled memory is unchanged
         lags = [features[0] + c * (m - features[0]) for c, m in zip(self.creep, features[first:], strict=True)]
         return [*features[:first], *lags]
 
     def _tilted(self, x: Array, logits: list[Array]) -> list[Array]:
         low, middle, high = self.reach.array(self.tilt.dtype)
-        t = jnp.clip(x, low, high) - middle  # exp(tilt t) of an x that no record reached could be anything
+        t = jnp.clip(x, low, high) - middle  # exp(tilt t) is unknown for an x that no record reached
         common, spring = jnp.exp(self.tilt[0] * t), jnp.exp(self.tilt[1] * t)
         *tokens, offset = logits
         for k in np.flatnonzero(shared_by(len(tokens) - 1)):
-            both = common * spring if k == 0 else common  # k = 0 is met up to order 2 alone: see `shared_by`
+            both = common * spring if k == 0 else common  # k = 0 only occurs up to order 2: see `shared_by`
             tokens[k] = logit_of(positive_factor(tokens[k]) * both)
         return [*tokens, offset * (self.offset * common * spring)]
 
     def scaled(self, factor):
-        """Scale the inner encoder's last layer; the factors of the day stay."""
+        """Return the encoder with the inner last layer times `factor`; the factors of the day stay."""
         return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
 
 
 def plain(encoder: AbstractEncoder) -> AbstractEncoder:
-    """Return the encoder as it was trained, without what another day made of it."""
+    """Return the encoder as it was trained, without adaptation to another day."""
     return encoder.inner if isinstance(encoder, AdaptedEncoder) else encoder
 
 
 def fast_memories(count: int) -> int:
-    """Count the memories that the offset's net sees, fastest first: all but the two slowest."""
+    """Return the number of memories that the offset's net sees, fastest first: all but the two slowest."""
     return max(count - 2, 0)
 
 
 def shared_by(order: int) -> np.ndarray:
-    """Mark the logits that carry what all tokens have in common.
+    """Mark the logits whose factor is common to all tokens, shape (n + 1,).
 
     Up to order 2 these are all; from order 3 on the last one, which multiplies the polynomial of all sections.
     """
@@ -319,7 +322,7 @@ class PaperEncoder(AbstractEncoder):
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant; the offset logit is always zero."""
         count = self.networks.readout.weight.shape[0]
-        if key is None:  # without a key no dropout: a rollout must not draw numbers
+        if key is None:  # no dropout without a key, because a rollout must not draw random numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
         else:
             keys = jax.random.split(key, count)
@@ -327,7 +330,7 @@ class PaperEncoder(AbstractEncoder):
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):
-        """Build the logits: on a CPU those of many instants by tables (`relu_tables`), all others one by one."""
+        """Return the logits: on a CPU those of many instants by tables (`relu_tables`), all others one by one."""
 
         def one_by_one(*features):
             return vmapped(self, features)
@@ -345,13 +348,13 @@ class PaperEncoder(AbstractEncoder):
         return logits
 
     def scaled(self, factor):
-        """Scale the readouts, which are the last, linear layer."""
+        """Return the encoder with its readouts, the last linear layer, times `factor`."""
         last = self.networks.readout
         return eqx.tree_at(lambda e: e.networks.readout, self, jax.tree.map(lambda a: factor * a, last))
 
 
 def _linear(features: int, outputs: int, *, key) -> eqx.nn.Linear:
-    """Make a linear layer in float32, also where JAX makes float64 by default."""
+    """Return a linear layer in float32, even if JAX's default is float64."""
     return eqx.nn.Linear(features, outputs, dtype=jnp.float32, key=key)
 
 

@@ -1,11 +1,11 @@
-"""A fitted model: the model, a pure pytree, beside what it was made from, which no program sees.
+"""A fitted model: the model, a pure pytree, and its origin, which no compiled program contains.
 
     Fitted(model, origin)       gives:  load, identify, train, adapt, diagnose
                                 takes:  every public function, and a bare Model as well
 
-A program's key holds the static fields of its arguments. Texts and records of how a model came about would make a new
-program of every model, so under a transformation (jit, vmap, tree.map, tree_at) a `Fitted` is its model: `origin` comes
-back empty.
+A program's key holds the static fields of its arguments. Static texts about its origin would give every model a new
+program. So under a transformation (jit, vmap, tree.map, tree_at) a `Fitted` acts as its model, and `origin` is empty
+afterwards.
 """
 
 from abc import ABCMeta
@@ -22,11 +22,11 @@ from .origin import Origin
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Fitted:
-    """A model and its origin; it reads as the model (`fitted.order`), and its fields are replaced as the model's are.
+    """A model and its origin; it has the model's attributes (`fitted.order`) and replaceable fields.
 
     Attributes:
         model: the pure pytree.
-        origin: what it was made from; empty once JAX has transformed the pair.
+        origin: its records and lineage; empty after a JAX transformation.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -41,13 +41,13 @@ class Fitted:
     origin: Origin = field(default_factory=Origin)
 
     def __init__(self, model: Model, origin: Origin | None = None, **changes: Any):
-        """Put them side by side; `changes` (fields of the model) are what `dataclasses.replace` brings."""
-        # frozen, as every dataclass here: this is how a frozen one with an initialiser of its own sets its fields
+        """Store model and origin; `changes` are fields of the model, as `dataclasses.replace` passes them."""
+        # A frozen dataclass with its own initialiser sets its fields in this way.
         object.__setattr__(self, "model", replace(model, **changes) if changes else model)
         object.__setattr__(self, "origin", Origin() if origin is None else origin)
 
     def __getattr__(self, name: str) -> Any:
-        if name == "model" or name.startswith("__"):  # not there yet, or asked for by Python itself
+        if name == "model" or name.startswith("__"):  # not set yet, or asked for by Python itself
             raise AttributeError(name)
         return getattr(self.model, name)
 
@@ -55,24 +55,24 @@ class Fitted:
         return repr(self.model)
 
     def changed(self, factors: np.ndarray) -> "Fitted":
-        """Multiply the nominal coefficients by these factors, shape (n + 1,); the origin stays."""
+        """Return the model with nominal coefficients times these factors, shape (n + 1,); the origin stays."""
         return Fitted(self.model.changed(factors), self.origin)
 
 
-# isinstance(pitp.load(file), pitp.Model), as it always was; equinox forbids `Model.register`, which would be the same,
-# so that no module passes for what it does not derive from: here all that is asked of a model is passed on to one
+# A Fitted must pass isinstance(..., pitp.Model). Equinox forbids `Model.register` to exclude classes that do not derive
+# from a module; a Fitted forwards every attribute to its model.
 ABCMeta.register(Model, Fitted)
-# `register_dataclass(drop_fields=...)` would say the same, but JAX up to 0.9.0 reads it letter by letter.
+# `register_dataclass(drop_fields=...)` would be equivalent, but JAX up to 0.9.0 misinterprets a string there.
 jax.tree_util.register_pytree_with_keys(
     Fitted, lambda pair: (((jax.tree_util.GetAttrKey("model"), pair.model),), None), lambda _, parts: Fitted(*parts)
 )
 
 
 def model_of(given: Model | Fitted) -> Model:
-    """Take the model alone.
+    """Return the model without its origin.
 
     Raises:
-        BadInput: what was given is none; saying what it is, and what to give.
+        BadInput: the argument is not a model; the message names its type and the accepted types.
     """
     if isinstance(given, Fitted):
         return given.model
@@ -85,7 +85,7 @@ def model_of(given: Model | Fitted) -> Model:
 
 
 def fitted_of(given: Model | Fitted) -> Fitted:
-    """Take the model with its origin, an empty one where it has none.
+    """Return the model with its origin, which is empty for a bare model.
 
     Raises:
         BadInput: as `model_of`.

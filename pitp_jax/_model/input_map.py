@@ -1,4 +1,4 @@
-"""Input maps turn the drive voltage u into the equivalent force F, and back.
+"""Input maps: convert the voltage u to the equivalent force F, and back.
 
 square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
 linear:  F = u                   u = F                      (electronic benchmarks, piezo)
@@ -16,12 +16,12 @@ Values = TypeVar("Values", Array, np.ndarray)  # of any shape, traced or in floa
 
 
 class AbstractInputMap(eqx.Module):
-    """A memoryless, invertible map from voltage to force; works on any array shape.
+    """A memoryless, invertible map from voltage to force, for arrays of any shape.
 
     Attributes:
         name: in files and options.
         unit: of the force.
-        one_sided: whether it makes no negative force.
+        one_sided: whether it cannot produce a negative force.
     """
 
     name: ClassVar[str]
@@ -34,11 +34,11 @@ class AbstractInputMap(eqx.Module):
 
     @abstractmethod
     def voltage(self, force: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Compute the non-negative (square) or signed (linear) voltage that makes this force."""
+        """Compute the non-negative (square) or signed (linear) voltage that gives this force."""
 
     @abstractmethod
     def infeasible(self, force: Float[Array, "..."]) -> Bool[Array, "..."]:
-        """Mark by True where no voltage makes this force."""
+        """Return True where no voltage gives this force."""
 
 
 class SquareInput(AbstractInputMap):
@@ -52,11 +52,11 @@ class SquareInput(AbstractInputMap):
 
     def voltage(self, force):
         """Compute u = sqrt(max(F, 0)) in V, with a zero derivative (not nan) at F <= 0."""
-        positive = force > 0  # asked twice: the untaken branch of a `where` is differentiated too, and 0 * inf is nan
+        positive = force > 0  # used twice: the untaken branch of a `where` is differentiated too, and 0 * inf is nan
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, force, 1.0)), 0.0)
 
     def infeasible(self, force):
-        """Mark F < 0: the square cannot pull back."""
+        """Return F < 0, because the square cannot give a negative force."""
         return force < 0
 
 
@@ -74,7 +74,7 @@ class LinearInput(AbstractInputMap):
         return force
 
     def infeasible(self, force):
-        """Mark nothing: every force has a voltage."""
+        """Return False everywhere: every force has a voltage."""
         return jnp.zeros(jnp.shape(force), bool)
 
 

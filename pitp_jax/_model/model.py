@@ -1,4 +1,4 @@
-"""The model: an ODE of order n whose coefficients are read off the current state (paper, eqs. 2-7).
+"""The model: an ODE of order n whose coefficients depend on the current state (paper, eqs. 2-7).
 
     F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),   F = map(V),  V = drive(u)
     sigma = tokens(S, m),   S = [x, x', ..., x^(n-1)]
@@ -36,7 +36,7 @@ Hold = Literal["foh", "zoh", "bandlimited"]
 
 
 class Output(Constants):
-    """The sensor's zero and direction: x = polarity (y - offset), y in the rig's coordinates (m or V).
+    """The sensor's offset and direction: x = polarity (y - offset), y as measured (m or V).
 
     Its numbers are `constants`: exact on the host, and no parameters of the model.
     """
@@ -49,7 +49,7 @@ class Output(Constants):
         return self.polarity * (y - self.offset)
 
     def to_rig(self, x):
-        """Convert displacement from rest to what the sensor would read."""
+        """Convert displacement from rest to the sensor's reading."""
         return self.polarity * x + self.offset
 
 
@@ -66,20 +66,20 @@ class Scales(Constants):
 
     @property
     def rates(self) -> list:
-        """dX_i/dt = rates_i X_{i+1}, in 1/s."""
+        """Return the factors of dX_i/dt = rates_i X_{i+1}, 1/s."""
         return [upper / lower for lower, upper in pairwise(self.state)]
 
 
 class Model(eqx.Module):
-    """Input map, encoder, memory and effects around one nominal coefficient vector.
+    """A model: nominal coefficients with input map, encoder, memory and effects.
 
     Attributes:
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
         encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side. Any
             other Equinox module as encoder is wrapped (`OwnEncoder`).
-        hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
+        hold: the voltage between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
-        domain: what it was shown: sampling, voltages, region.
+        domain: range of its training data: sampling, voltages, region.
     """
 
     coefficients: Float[Array, " tokens"]
@@ -95,7 +95,7 @@ class Model(eqx.Module):
     effects: tuple = ()
 
     def __repr__(self) -> str:
-        """Describe it in two lines: what it is, and its coefficients."""
+        """Return two lines: the kind of model, and its coefficients."""
         part = own_module(self.encoder) or self.encoder
         kind = "identified" if isinstance(part, ConstantEncoder) else f"trained ({type(part).__name__})"
         parts = [f"{self.memory.size} memory states"] if self.memory.size else []
@@ -104,7 +104,7 @@ class Model(eqx.Module):
         try:
             numbers = ", ".join(f"a{i} {a:.4g}" for i, a in enumerate(self.physical_coefficients))
             hertz = f"; {self.natural_frequency / (2 * np.pi):.4g} Hz"
-        except Exception:  # under a transformation the coefficients are no numbers
+        except Exception:  # under a transformation the coefficients are not numbers
             numbers, hertz = "traced coefficients", ""
         return f"{head}{''.join(f', {p}' for p in parts)}\n  {numbers}{hertz}"
 
@@ -113,26 +113,26 @@ class Model(eqx.Module):
 
     @property
     def order(self) -> int:
-        """ODE order n."""
+        """Return the ODE order n."""
         return len(self.scales.state) - 1
 
     @property
     def physical_coefficients(self) -> np.ndarray:
-        """Nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
+        """Return the nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
         return np.asarray(self.coefficients, np.float64) * self.scales.force / self.scales.state
 
     @property
     def natural_frequency(self) -> float:
-        """Frequency of the mode that is meant by the resonance, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
+        """Return the resonance frequency, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
 
-        A bare integrator has none: there it is that of the motion it was identified on.
+        A pure integrator has none; then the frequency of its identification records is returned.
         """
         # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
 
     @property
     def dt(self) -> float:
-        """Sampling interval of its records, s."""
+        """Return the sampling interval of the model's records, s."""
         return float(self.domain.dt)
 
     def tokens(
@@ -154,18 +154,18 @@ class Model(eqx.Module):
         if self.order >= 3:  # up to order 2 positive tokens are stable by themselves (Routh-Hurwitz)
             (*sections, last), nominal = factor, list(jnp.asarray(self.scales.sections, offset.dtype))
             moved = product([f * s for f, s in zip(sections, nominal, strict=True)])
-            # ratios to the nominal's own product: what rounding did to the sections cancels
+            # ratios to the nominal's own product, so that rounding of the sections cancels
             factor = [last * a * (1 / b) for a, b in zip(moved, product(nominal), strict=True)]
         return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
 
     def sampled(self, dt: float, hold: Hold) -> "Model":
-        """Convert the model to records of another sampling interval (s) and hold; its coefficients stay."""
+        """Return the model for another sampling interval (s) and hold, with the same coefficients."""
         domain = replace(self.domain, dt=dt)
         count = substeps_of(self.physical_coefficients, dt)
         return replace(self, substeps=count, hold=hold, domain=domain)
 
     def changed(self, factors: np.ndarray) -> "Model":
-        """Multiply the nominal coefficients by these factors, shape (n + 1,)."""
+        """Return the model with nominal coefficients times these factors, shape (n + 1,)."""
         coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
@@ -184,20 +184,20 @@ def linear_model(
 ) -> Model:
     """Build a linear model from coefficients a_0 ... a_n (V^2 s^i / m): constant tokens, no memory, no effects.
 
-    Other parts come in by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
+    Set other parts by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
 
     Args:
-        coefficients: a_0 ... a_n of stable roots, shape (n + 1,); behind a linear input in V s^i / m.
+        coefficients: a_0 ... a_n of stable roots, shape (n + 1,); V^2 s^i / m, for a linear input V s^i / m.
         dt: sampling interval, s.
-        domain: sampling interval and limits, in place of `dt`.
+        domain: sampling interval and limits, instead of `dt`.
         input_map: `SquareInput()` (default) or `LinearInput()`.
         hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
-        substeps: Runge-Kutta steps a sample; None follows from the poles.
+        substeps: Runge-Kutta steps a sample; None: from the poles.
         output: offset and direction of the sensor; default 0 and +1.
-        state_scale: unit of every derivative, m / s^i, shape (n + 1,); None is what the force's unit moves at the
+        state_scale: unit of every derivative, m / s^i, shape (n + 1,); None: the motion under a unit force at the
             natural frequency.
-        force_scale: unit of the force, V^2 or V; None is that of the highest voltage, of 1 kV (1 V behind a linear
-            input) where no limit is known.
+        force_scale: unit of the force, V^2 or V; None: the force of the highest voltage, or of 1 kV (1 V for a linear
+            input) without a limit.
 
     Returns:
         the model.

@@ -20,12 +20,12 @@ from .encoder import AbstractEncoder, plain
 
 
 class OwnEncoder(AbstractEncoder):
-    """An encoder around any Equinox module; `Model`, `train` and `load` wrap a module by themselves.
+    """An encoder around any Equinox module; `Model`, `train` and `load` wrap modules automatically.
 
     The module is called as `module(features)` with scaled features of shape (n + K,): the state x, x', ..., x^(n-1),
     then the K memories. It returns n + 2 logits: one per token sigma_0 ... sigma_n, then the offset token. Logits of 0
     are the identified linear model. A module with an argument `key` gets one in the first phase of the training only,
-    for dropout; without a key it must be deterministic.
+    for dropout; otherwise it must be deterministic.
 
     Attributes:
         module: the user's module; its inexact arrays are parameters and are stored in model files.
@@ -36,7 +36,7 @@ class OwnEncoder(AbstractEncoder):
     factor: Float[Array, ""]
 
     def __init__(self, module: Any, factor: Float[Array, ""] | float = 1.0):
-        """Wrap the module; its NumPy arrays become arrays of JAX."""
+        """Wrap the module and convert its NumPy arrays to JAX arrays."""
         self.module = jax.tree.map(lambda a: jnp.asarray(a) if isinstance(a, np.ndarray) else a, module)
         self.factor = jnp.asarray(factor, jnp.result_type(float) if isinstance(factor, float) else None)
 
@@ -46,11 +46,11 @@ class OwnEncoder(AbstractEncoder):
         return (self.factor * self.module(features, **options)).astype(features.dtype)
 
     def scaled(self, factor):
-        """Scale the factor."""
+        """Return the encoder with its factor times `factor`."""
         return OwnEncoder(self.module, factor * self.factor)
 
     def token_nets(self):
-        """Mark all weights: no polynomial stands beside them, but an own module may have as many as a net."""
+        """Return 1 for all weights: a module has no parallel polynomial, but may have as many weights as a net."""
         return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
@@ -59,13 +59,13 @@ def _takes_key(module: Any) -> bool:
 
 
 def as_encoder(given: Any) -> Any:
-    """Wrap an Equinox module that is not an encoder of this package."""
+    """Return a module wrapped as encoder, and an encoder of this package unchanged."""
     wrapped = isinstance(given, AbstractEncoder) or not isinstance(given, eqx.Module)
     return given if wrapped else OwnEncoder(given)
 
 
 def own_module(encoder: AbstractEncoder) -> Any:
-    """Return the user's own module in an encoder; None where it has none."""
+    """Return the user's own module in an encoder; None if it has none."""
     inner = plain(encoder)
     return inner.module if isinstance(inner, OwnEncoder) else None
 

@@ -1,4 +1,4 @@
-"""How a logit moves a token: g(l) = 1 + l for l > -1/2, -1 / (4 l) below.
+"""The factor by which a logit changes a token: g(l) = 1 + l for l > -1/2, -1 / (4 l) below.
 
 Positive, C1 (both branches have value 1/2 and slope 1 at l = -1/2), g(0) = 1, and exactly linear where tokens usually
 are.
@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 
 def positive_factor(logit: Float[Array, "..."]) -> Float[Array, "..."]:
     """Compute g(l), by which the token is multiplied."""
-    # the inner `where` keeps the untaken branch from dividing by zero, which the gradient would see
+    # the inner `where` keeps the untaken branch from dividing by zero, which would spoil the gradient
     low = logit < -0.5
     return jnp.where(low, -0.25 / jnp.where(low, logit, -1.0), 1.0 + logit)
 

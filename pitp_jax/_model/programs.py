@@ -1,8 +1,8 @@
-"""Compile programs, which all models of one structure share, and take arrays of the host to the device.
+"""Compile programs that all models of one structure share, and copy arrays from the host to the device.
 
 Arrays of a model (weights) and its constants (scales, offsets, its domain) are arguments of a program; static fields
-(order, hold, substeps, the classes of the parts, layer sizes) make another one. What a model was made from stands
-beside it (`Fitted.origin`), where no program sees it.
+(order, hold, substeps, the classes of the parts, layer sizes) make another one. The origin of a model lies outside
+every program (`Fitted.origin`).
 """
 
 from collections.abc import Callable
@@ -22,9 +22,9 @@ T = TypeVar("T")
 
 
 def full_precision(function: Callable[P, T]) -> Callable[P, T]:
-    """Let a function multiply float32 matrices in full precision, whatever the user's default, also where it is traced.
+    """Multiply float32 matrices in a function with full precision, whatever the user's default, also when traced.
 
-    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs: inverse voltages were wrong by 1e-3 of the largest.
+    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs, which gave voltage errors of 1e-3 of the largest.
     """
 
     @wraps(function)
@@ -47,10 +47,10 @@ def jit(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def on_device(values, dtype=None) -> Array:
-    """Copy an array of the host's to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
+    """Copy an array from the host to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
     return jax.device_put(np.asarray(values, dtype))
 
 
 def in_double(tree: T) -> T:
-    """Convert the arrays of numbers in a tree to float64; call it under `jax.enable_x64(True)`."""
+    """Convert the float arrays in a tree to float64; call it under `jax.enable_x64(True)`."""
     return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)

@@ -1,4 +1,4 @@
-"""Evaluate the paper's branches by tables: a ReLU layer of one number is piecewise linear in it, and so is its fusion.
+"""Evaluate the paper's branches by tables: a ReLU layer of one number and its fusion are piecewise linear.
 
     sum_j W_oj relu(a_j x + b_j) = s_o(k) x + c_o(k)   between the k-th and (k+1)-th of the sorted knots -b_j / a_j
     s_o(k) = sum_{j active} W_oj a_j,                  c_o(k) = sum_{j active} W_oj b_j
@@ -12,8 +12,8 @@ from jaxtyping import Array, Float
 
 from .rows import affine
 
-_BLOCK = 1000  # instants at once: the activations of all tokens stay in the cache
-_NO_KNOT = 1e30  # where a branch without slope changes; the sum of two is finite in float32
+_BLOCK = 1000  # instants at once, so that the activations of all tokens stay in the cache
+_NO_KNOT = 1e30  # knot of a branch without slope; the sum of two is finite in float32
 
 
 def tables(
@@ -23,16 +23,16 @@ def tables(
     Float[Array, "tokens features pieces width"],
     Float[Array, "tokens features pieces width"],
 ]:
-    """Tabulate the sorted knots, and slope and intercept of every piece (width + 1 of them) in every fusion unit."""
+    """Return the sorted knots, and slope and intercept of every piece (width + 1 of them) in every fusion unit."""
     weight, b = affine(networks.branches)
     a = weight[..., 0]
     tokens, features, width = a.shape
     fusion = networks.fusion.weight.reshape(tokens, -1, features, width)
     knots = jnp.sort(jnp.clip(jnp.where(a == 0, _NO_KNOT, -b / jnp.where(a == 0, 1.0, a)), -_NO_KNOT, _NO_KNOT), -1)
-    # a point inside every piece says which units are active there, whatever the order of equal knots
+    # a point inside every piece shows which units are active there, whatever the order of equal knots
     inside = (knots[..., 1:] + knots[..., :-1]) / 2
     low, high = knots[..., :1], knots[..., -1:]
-    # beyond the ends: 1 further for a knot at 0, its own size further where 1 is lost to rounding
+    # beyond the ends: 1 further for a knot at 0, its own size further if 1 is lost to rounding
     inside = jnp.concatenate([low - jnp.abs(low) - 1, inside, high + jnp.abs(high) + 1], -1)
     active = a[..., None, :] * inside[..., None] + b[..., None, :] > 0  # tokens, features, pieces, width
     slope = jnp.einsum("tfpw,tofw->tfpo", active * a[..., None, :], fusion)
@@ -40,7 +40,7 @@ def tables(
 
 
 def logits_by_tables(networks, features: Float[Array, "features time"]) -> Float[Array, "tokens time"]:
-    """Compute the logits of every instant, without the offset's, in blocks."""
+    """Compute the logits of every instant in blocks, without the offset's."""
     kinds, count = features.shape
     blocks = -(-count // _BLOCK)
     padded = jnp.pad(features, ((0, 0), (0, blocks * _BLOCK - count)))
@@ -55,7 +55,7 @@ def _block(networks, made, features: Float[Array, "features block"]) -> Float[Ar
     enhance = [affine(layer) for layer in networks.enhance]
     find = jax.vmap(lambda k, x: jnp.searchsorted(k, x, method="scan"))
     logits = []
-    for t in range(knots.shape[0]):  # a handful of tokens: written out, one token's tables are in the cache at a time
+    for t in range(knots.shape[0]):  # a few tokens: written out, so that one token's tables are in the cache at a time
         at, h = find(knots[t], features), fusion[t]
         for i, x in enumerate(features):
             h = h + slope[t, i][at[i]] * x[:, None] + intercept[t, i][at[i]]

@@ -1,10 +1,10 @@
-"""Rows hold one array per quantity, all of one shape: a formula over rows is written once for every shape.
+"""Rows: one array per quantity, all of one shape, so that a formula is written once for every shape.
 
     y_o = b_o + sum_i W_oi f_i
 
-Rows are scalars at one instant, instants along a motion or records side by side. A small net vmapped is a matrix
-product with a matrix of 8 by 7, far below what a product routine is made for; written out over instants it is one
-kernel that never leaves the registers (docs/decisions/decoder.md).
+Rows are scalars at one instant, instants along a motion or records side by side. A small vmapped net is a product with
+an 8 by 7 matrix, which product routines compute slowly. Written out over instants it is one kernel within the registers
+(docs/decisions/decoder.md).
 """
 
 from collections.abc import Callable, Sequence
@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-Rows = Sequence[Array] | Array  # the array's first axis: a quantity each
+Rows = Sequence[Array] | Array  # the array's first axis: one quantity each
 
 
 def written_out(weight: Array, bias: Rows) -> Callable[[Rows], list[Array]]:
-    """Build the layer with every sum written term by term."""
+    """Return the layer with every sum written term by term."""
 
     def layer(rows: Rows) -> list[Array]:
         outputs = list(bias)
@@ -31,18 +31,18 @@ def written_out(weight: Array, bias: Rows) -> Callable[[Rows], list[Array]]:
 
 
 def as_product(weight: Array, bias: Rows) -> Callable[[Rows], Array]:
-    """Build the layer as one matrix product."""
+    """Return the layer as one matrix product."""
 
     def layer(rows: Rows) -> Array:
         sums, start = jnp.tensordot(weight, jnp.asarray(rows), 1), jnp.asarray(bias)
-        # a bias is a number per output or, as another layer's outputs, a row: axes of length 1 go in between
+        # A bias is one number per output, or another layer's output rows; axes of length 1 are inserted.
         return sums + start.reshape(len(start), *[1] * (sums.ndim - start.ndim), *start.shape[1:])
 
     return layer
 
 
 def affine(layer: eqx.nn.Linear) -> tuple[Array, Array]:
-    """Read weight and bias of a layer."""
+    """Return weight and bias of a layer."""
     assert layer.bias is not None  # every layer of these networks has one
     return layer.weight, layer.bias
 

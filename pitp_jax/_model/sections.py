@@ -1,4 +1,4 @@
-"""Keep a token polynomial stable: its factors have the nominal's coefficients times positive numbers.
+"""Keep a token polynomial stable: its factors are the nominal's factors with positive multipliers.
 
     sum_i sigma_i s^i = sigma_n prod_k (s^2 + p_k s + q_k) [(s + r)]       q_0, p_0, q_1, p_1, ..., r, sigma_n > 0
 
@@ -19,7 +19,7 @@ def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
     The roots must be stable.
     """
     roots = np.roots(np.asarray(coefficients, np.float64)[::-1])
-    # rounding may give a real root an imaginary part, a little of its size
+    # rounding may give a real root a small imaginary part
     upper = sorted(roots[roots.imag > 1e-9 * np.abs(roots)], key=abs)
     real = sorted(-roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real)
     pairs = [(abs(r) ** 2, -2 * r.real) for r in upper]
@@ -30,8 +30,8 @@ def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
 
 
 def product(values: Rows | Sequence[float]) -> list:
-    """Multiply sections out: ascending coefficients c_0 ... c_{n-1}, 1 of their polynomial, row by row."""
-    poly: list = [1.0]  # by hand: values may be traced rows, which np.polymul does not take
+    """Multiply sections out: return ascending coefficients c_0 ... c_{n-1}, 1 of their polynomial, row by row."""
+    poly: list = [1.0]  # values may be traced rows, which np.polymul does not accept
     pairs = [[*values[k : k + 2], 1.0] for k in range(0, len(values) - 1, 2)]
     for section in pairs + ([[values[-1], 1.0]] if len(values) % 2 else []):
         wide: list = [0.0] * (len(poly) + len(section) - 1)

@@ -1,22 +1,22 @@
-"""How many RK4 steps a sample of a linear model takes.
+"""Choose the number of RK4 steps per sample of a linear model.
 
-e^z - R(z) = z^5 / 120 + ...,   z = p h:   a step turns a pole by |z|^5 / 120 too much or too little
-at the resonance the motion remembers 1 / (zeta |z|) steps:   error = |z|^4 / (240 zeta) of its range
+e^z - R(z) = z^5 / 120 + ...,   z = p h:   a step has a relative error of |z|^5 / 120
+at the resonance errors add up over 1 / (zeta |z|) steps:   error = |z|^4 / (240 zeta) of its range
 |z| <= min(1/4, (240 zeta ACCURACY)^(1/4)),   and for poles above the Nyquist frequency |z| < 2 (stable up to 2.78)
 """
 
 import numpy as np
 from jaxtyping import Float
 
-ACCURACY = 2e-4  # of the range, beside the exact discretisation
+ACCURACY = 2e-4  # of the range, compared with the exact discretisation
 _LARGEST = 0.25  # |z|: frozen tokens make the decoder of order two, whatever the nominal's poles allow
 _STABLE = 2.0
-_MOST = 16  # steps for accuracy; a pole that needs more is faster than what the samples show
+_MOST = 16  # steps for accuracy; a pole that needs more is faster than the samples can show
 _LEAST_DAMPING = 1e-4
 
 
 def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
-    """RK4 steps per sample of dt (s) for the coefficients a_0 ... a_n."""
+    """Return the number of RK4 steps per sample of dt (s) for the coefficients a_0 ... a_n."""
     a = np.nan_to_num(a)
     poles = np.roots(a[::-1])
     poles = poles[np.abs(poles) > 0]

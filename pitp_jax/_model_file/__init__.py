@@ -1,6 +1,6 @@
-"""Model files: one format for identified, trained and augmented models; nothing in a file is ever run.
+"""Model files: one format for identified, trained and augmented models; no code in a file is ever run.
 
-Verbs: `save`, `load`. A file is a list of named parts with plain values, and the arrays behind it, under a digest.
+Verbs: `save`, `load`. A file is a list of named parts with plain values, and their arrays, with a digest.
 """
 
 from .lineage import descended as descended

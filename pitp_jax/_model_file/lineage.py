@@ -1,9 +1,9 @@
-"""Record a model's line of descent: every step that made it, the sums of the recordings it saw, versions, its parent.
+"""The lineage of a model: every step that made it, checksums of its recordings, versions, and its parent.
 
     step = {"step", "versions", "parent": digest | null, "records": [{"name", "sha256", "of": "file" | "samples"}]}
 
 A digest is the SHA-256 on a model file's second line. A recording from a file has the sum of that file, as `sha256sum`
-prints it; any other the sum of its samples t, u, y (little-endian float64, one series after the other).
+prints it; any other recording has the sum of its samples t, u, y (little-endian float64, one series after the other).
 """
 
 import hashlib
@@ -26,7 +26,7 @@ from .model_file import digest
 def descended(
     model: Model | Fitted, step: str, records: Sequence[Record], parent: Model | Fitted | None = None
 ) -> Fitted:
-    """Add one step to the line of descent."""
+    """Return the model with one step added to its lineage."""
     versions = {
         "pitp_jax": __version__,
         "jax": jax.__version__,
@@ -35,7 +35,7 @@ def descended(
     }
     try:
         known = None if parent is None else digest(parent)
-    except BadInput:  # a part of one's own, which no file holds
+    except BadInput:  # a user's own part, which no file can hold
         known = None
     entry = {"step": step, "versions": versions, "parent": known, "records": sums(records)}
     fitted = fitted_of(model)
@@ -43,12 +43,12 @@ def descended(
 
 
 def sums(records: Sequence[Record]) -> list[dict]:
-    """Name and SHA-256 of each recording: of its file where there is one, else of its samples."""
+    """Return name and SHA-256 of each recording: of its file if there is one, otherwise of its samples."""
     return [_sum(r) for r in records]
 
 
 def was_made_from(model: Model | Fitted, records: Sequence[Record]) -> bool:
-    """Return whether all these recordings are among those that a step of the model's line of descent saw."""
+    """Return whether all these recordings were used in a step of the model's lineage."""
     seen = {r["sha256"] for entry in fitted_of(model).origin.lineage for r in entry.get("records", ())}
     return bool(seen) and all(one["sha256"] in seen for one in sums(records))
 
@@ -62,5 +62,5 @@ def _sum(record: Record) -> dict:
                 checksum.update(block)
     else:
         for series in (record.time, record.voltage, record.displacement):
-            checksum.update(np.asarray(series, "<f8").tobytes())  # one byte order: the sum is the same on every machine
+            checksum.update(np.asarray(series, "<f8").tobytes())  # one byte order: equal sums on every machine
     return {"name": record.name, "sha256": checksum.hexdigest(), "of": of}

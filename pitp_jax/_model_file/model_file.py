@@ -1,14 +1,14 @@
 """Save and load model files: one format for identified, trained and augmented models, and nothing in it is ever run.
 
-    line 1    pitp_jax model 2                  magic and version; 1 is read as well (`version_1`)
+    line 1    pitp_jax model 2                  magic and version
     line 2    sha256 <digest of all that follows>
     then      {                                 readable JSON, one part per line: what every part is, its
               }                                 sizes, domain and origin, shape and dtype of every leaf
     then      the leaves, each as .npy bytes    no pickle
 
-A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a
-file can choose among the parts of this package and give them numbers, and nothing else. Equinox's
-`tree_serialise_leaves` would keep neither the names of the leaves nor float64 ones in a session without it.
+A part is rebuilt from a closed list of names, as shapes only, and then filled with the stored leaves. So a file can
+only choose parts of this package and set their numbers. Equinox's `tree_serialise_leaves` would keep neither the names
+of the leaves nor float64 ones in a session without it.
 """
 
 import hashlib
@@ -30,7 +30,6 @@ from .._model.programs import on_device
 from .._record.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode, origin_of
 from .plausible import LARGEST_FILE, check_header, check_leaves, header_problems, leaf_problems
-from .version_1 import upgraded
 
 VERSION = 2
 _MAGIC = b"pitp_jax model "
@@ -38,14 +37,14 @@ _DTYPES = {"float16": np.dtype("<f2"), "float32": np.dtype("<f4"), "float64": np
 
 
 def save(path: str | os.PathLike, model: Model | Fitted) -> None:
-    """Write a model file, whole or not at all.
+    """Write a model file completely or not at all.
 
     Args:
         path: the file; an existing one is replaced.
         model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
-        BadInput: numbers that are not finite, a part this format has no name for (an effect), or an unwritable file.
+        BadInput: numbers that are not finite, a part that this format does not know (an effect), or an unwritable file.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -55,7 +54,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
 
 
 def digest(model: Model | Fitted) -> str:
-    """Compute the SHA-256 on the second line of the file `save` would write.
+    """Return the SHA-256 on the second line of the file that `save` would write.
 
     Raises:
         BadInput: as `save`.
@@ -68,15 +67,15 @@ def _sum(body: bytes) -> bytes:
 
 
 def _body(fitted: Fitted) -> bytes:
-    """Write what stands behind the digest: header and leaves."""
+    """Return the bytes after the digest: header and leaves."""
     header, model = describe(fitted), _stored(fitted.model)
-    # as `load` will build it: a model that could not be read back is refused here
+    # as `load` will build it, so that a model that could not be read back is refused here
     skeleton = _stored(_skeleton(header, own_module(fitted.model.encoder)))
     arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
-    # a part whose arrays were changed by hand: its sizes no longer say their shapes
+    # a part whose arrays were changed by hand: its sizes no longer match their shapes
     if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in _arrays(model)]:
         raise BadInput("cannot save the model: its arrays are not those its parts are built with")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
@@ -86,7 +85,7 @@ def _body(fitted: Fitted) -> bytes:
     body = io.BytesIO()
     body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
     for _, array in arrays:
-        # little-endian and in C order: the same model has the same bytes, and so the same digest, on every machine
+        # little-endian and in C order, so that the same model has the same bytes and digest on every machine
         plain = np.asarray(array, _DTYPES[array.dtype.name], order="C")
         np.lib.format.write_array(body, plain, version=(1, 0), allow_pickle=False)
     return body.getvalue()
@@ -97,33 +96,33 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
 
     Args:
         path: a file that `save` wrote.
-        encoder: where the model has an encoder of your own, a module of the same class and sizes. Its arrays are
-            replaced by the stored ones; all else in it stays.
+        encoder: for a model with your own encoder, a module of the same class and sizes. Only its arrays are replaced
+            by the stored ones.
 
     Returns:
         a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
-        BadInput: missing, a folder, not a model file, from a newer version, damaged in any bit, or an encoder is
-            missing or does not fit.
+        BadInput: missing, a folder, not a model file, from a newer version, damaged, or an encoder is missing or does
+            not fit.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
         >>> pitp.load(folder / "model.pitp").order
         2
     """
-    version, body = _checked_bytes(path)
+    body = _checked_bytes(path)
     path = cleaned(path)
     try:
-        # latin-1 has a character for every byte, so `end` is a place in the bytes too; the JSON itself is ASCII
+        # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
-        header = decode(text) if version > 1 else upgraded(decode(text))
+        header = decode(text)
         check_header(header)
         model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
         return Fitted(model, origin_of(header))
     except BadInput as error:
         raise BadInput(f"{path}: {error}") from None
-    except Exception as error:  # an intact digest over contents no version of `save` writes
+    except Exception as error:  # an intact digest over contents that no version of `save` writes
         reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
         if encoder is not None:
             name = type(encoder).__name__
@@ -132,21 +131,21 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
 
 
 def is_model_file(path: str | os.PathLike) -> bool:
-    """Tell whether a file begins as `save` begins one; it may be damaged behind that."""
+    """Return whether a file starts as `save` starts one; the rest may be damaged."""
     with open(path, "rb") as file:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
-def _checked_bytes(path) -> tuple[int, bytes]:
-    """Read the version, and everything after the digest, once it matches."""
+def _checked_bytes(path) -> bytes:
+    """Return everything after the digest, once the digest matches."""
     name, path = path, cleaned(path)
     try:
-        # a pipe or a device could block for ever, or never end
+        # a pipe or a device could block forever, or never end
         if os.path.exists(name) and not os.path.isdir(name) and not os.path.isfile(name):
             raise BadInput(f"{path}: is not a regular file; give a model file")
         with open(name, "rb") as file:
-            magic = file.readline(64)  # bounded: a file of another kind may hold no line end at all
-            version = _version(path, magic)
+            magic = file.readline(64)  # bounded, because another kind of file may have no line end
+            _check_version(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
                 raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
             known, body = file.readline(80), file.read()
@@ -162,25 +161,24 @@ def _checked_bytes(path) -> tuple[int, bytes]:
         raise BadInput(
             f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
         )
-    return version, body
+    return body
 
 
-def _version(path, line: bytes) -> int:
+def _check_version(path, line: bytes) -> None:
     version = line.removeprefix(_MAGIC).removesuffix(b"\n")
     if not line.startswith(_MAGIC) or not line.endswith(b"\n") or not version.isdigit():
         raise BadInput(f"{path}: is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
-    if not 1 <= int(version[:12]) <= VERSION:
+    if int(version[:12]) != VERSION:
         raise BadInput(
-            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads versions 1 to {VERSION}; "
+            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; "
             "update pitp_jax or write the model again"
         )
-    return int(version)
 
 
 def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
-    """Build the model of a header with shapes where its leaves belong; nothing is allocated.
+    """Build the model of a header with shapes in place of its leaves; nothing is allocated.
 
-    Constants (scales, domain, the sensor's offset) have their numbers in the header.
+    Constants (scales, domain, sensor offset) are in the header.
     """
     return eqx.filter_eval_shape(lambda: build(header, own))
 
@@ -218,14 +216,14 @@ def _refuse(literal: str):
 
 
 def _filled(skeleton: Model, leaves: list, data: memoryview) -> Model:
-    """Put the stored leaves where the skeleton has shapes, and constant arrays where it has those."""
+    """Return the skeleton filled with the stored leaves and constant arrays."""
     filled = _fill(_stored(skeleton), leaves, data)
     return jax.tree.map(lambda part, leaf: constant_array(leaf) if _is_constant_array(part) else leaf,
                         skeleton, filled, is_leaf=lambda part: _is_constant_array(part) or _is_shape(part))  # fmt: skip
 
 
 def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
-    """Read the leaves of this skeleton, whose shapes theirs must be."""
+    """Read the leaves of this skeleton, and refuse other shapes."""
     places = _shapes(skeleton)
     if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
         raise ValueError("its leaves are not those of its parts")
@@ -234,14 +232,14 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         if np.lib.format.read_magic(stream) != (1, 0):
             raise ValueError(f"{name}: unknown npy version")
         stored, fortran, kind = np.lib.format.read_array_header_1_0(stream)
-        # an object dtype, whose bytes would be a pickle, is none of `_DTYPES`
+        # an object dtype, whose bytes would be a pickle, is not in `_DTYPES`
         if fortran or kind != _DTYPES[dtype] or stored != tuple(shape) or stored != place.shape:
             raise ValueError(f"{name}: {kind} {stored} where {dtype} {place.shape} belongs")
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
-        with jax.enable_x64(True):  # else float64 leaves would come back as float32
+        with jax.enable_x64(True):  # otherwise float64 leaves would come back as float32
             arrays.append(on_device(plain))
     check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
-    if stream.read(1):  # bytes that mean nothing could be something to another reader
+    if stream.read(1):  # trailing bytes could mean something to another reader
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))
     return eqx.combine(jax.tree_util.tree_unflatten(treedef, arrays), eqx.filter(skeleton, _is_shape, inverse=True))

@@ -1,4 +1,4 @@
-"""List the parts a model file may hold by name, and turn a model into plain values and back.
+"""Registry of the parts that a model file may hold, and conversion of a model to plain values and back.
 
     describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
     build(header)    ->  a model whose leaves are placeholders of the right shapes
@@ -29,6 +29,7 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
 from .._model.own_encoder import OwnEncoder
+from .._record.excited import Table
 from .._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
@@ -36,10 +37,10 @@ LARGEST = 4096  # no size of a part is near this; building a larger one could ta
 
 @dataclass(frozen=True)
 class Part:
-    """How one kind of part is stored: its class, the plain numbers that rebuild it, and its constructor.
+    """The storage of one kind of part: its class, the numbers that rebuild it, and its constructor.
 
     Attributes:
-        cls: the class; a part is stored under this name only where its type is exactly this.
+        cls: the class; a part is stored under this name only if its type is exactly this.
         describe: part to keyword arguments of `build`, JSON values only.
         build: keyword arguments to a part with the same leaves' shapes; called abstractly.
     """
@@ -90,13 +91,13 @@ ENCODERS = {
         lambda offset, frugal=0, **k: CompactEncoder(**k, offset=bool(offset), frugal=bool(frugal), key=_key()),
     ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
-    # its module is not rebuilt from the file, which could then choose what runs: the caller gives one
+    # its module is not rebuilt from the file, which could then choose the code that runs; the caller supplies it
     "own": Part(OwnEncoder, lambda e: {"module": type(e.module).__name__}, OwnEncoder),
 }
 
 
 def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
-    """Describe the inner encoder by its sizes beside its name, in one flat line."""
+    """Return the inner encoder's sizes beside its name, in one flat dict."""
     inner = _named(ENCODERS, encoder.inner)
     return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
 
@@ -122,7 +123,7 @@ DRIVES = {
     "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
 }
 EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in (*CATALOGUE, TERM)}
-# forms that no command made; files that hold one are refused by this name
+# forms that no command created; files that hold one are refused by this name
 REMOVED = frozenset({
     "stiffening: power", "end_stop: both sides", "end_stop: above, damped", "end_stop: both sides, damped",
     "creep: three branches", "creep: loss of stiffness", "relaxation: three branches",
@@ -135,7 +136,7 @@ REMOVED = frozenset({
 
 
 def describe(fitted: Fitted) -> dict:
-    """Describe the model, without its leaves, and its origin by plain values."""
+    """Return the model, without its leaves, and its origin as plain values."""
     model, origin = fitted.model, fitted.origin
     return {
         "order": model.order,
@@ -167,21 +168,21 @@ def _effect(effect) -> dict:
 
 
 def _numbers(part: Output | Scales | Domain) -> dict:
-    """Return the fields as numbers, in the order of the class: a file that is read and written keeps its bytes."""
+    """Return the fields as numbers, in the order of the class, so that a file read and written keeps its bytes."""
     return {field.name: np.asarray(getattr(part, field.name)).tolist() for field in fields(part)}
 
 
 def _packed(long: LongRecord | None) -> dict | None:
     if long is None:
         return None
-    # bytes as text: as JSON numbers the long record would be most of the file
+    # bytes as text, because JSON numbers of the long record would be most of the file
     series = {name: getattr(long, name).astype("<f4").tobytes() for name in ("voltage", "displacement")}
     texts = {name: base64.b64encode(data).decode("ascii") for name, data in series.items()}
     return {"dt": long.dt, "step": long.step, "rest": long.rest, **texts}
 
 
 def unpacked(stored: dict | None) -> LongRecord | None:
-    """The long record of a header; its series are little-endian float32 in base 64."""
+    """Return the long record of a header; its series are little-endian float32 in base 64."""
     if stored is None:
         return None
     data = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
@@ -191,7 +192,7 @@ def unpacked(stored: dict | None) -> LongRecord | None:
 
 def _named(registry: dict[str, Part], part) -> dict:
     for name, kind in registry.items():
-        if type(part) is kind.cls:  # a subclass of the user's own would be read back as its parent
+        if type(part) is kind.cls:  # a user's subclass would be read back as its parent
             return {"name": name, **kind.describe(part)}
     known = ", ".join(registry) or "none yet"
     raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
@@ -205,10 +206,10 @@ def _part(registry: dict[str, Part], described: dict, **given: Any):
     if name not in registry:
         raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
     for key, value in settings.items():
-        # the one setting that is a word: an adapted encoder stands around a plain one
+        # the only setting that is a word: an adapted encoder contains a plain one
         if key == "of" and value in ("constant", "compact", "paper", "own"):
             continue
-        # True is an int to Python and would be a size of 1
+        # True is an int in Python and would be a size of 1
         if (
             isinstance(value, bool)
             or not isinstance(value, (int, float))
@@ -226,7 +227,7 @@ def _bands(stored: dict | None) -> OutOfFold | None:
 
 
 def origin_of(header: dict) -> Origin:
-    """Build what the header's model was made from; nothing in its texts is obeyed by a terminal."""
+    """Return the origin in a header, its texts without terminal control characters."""
     stored = _without_control(header["origin"])
     return Origin(
         displacement_unit=str(stored["displacement_unit"]),
@@ -239,6 +240,8 @@ def origin_of(header: dict) -> Origin:
         out_of_fold=_bands(stored["out_of_fold"]),
         remarks=tuple(map(str, stored["remarks"])),
         identified_on=tuple(map(str, stored["identified_on"])),
+        excited_input=_table(stored, "excited_input"),
+        excited_output=_table(stored, "excited_output"),
         long_record=unpacked(header["long_record"]),
         training=None if stored["training"] is None else dict(stored["training"]),
         adapted=tuple(map(dict, stored["adapted"])),
@@ -246,8 +249,13 @@ def origin_of(header: dict) -> Origin:
     )
 
 
+def _table(stored: dict, name: str) -> Table:
+    """Return a table of excited cells; empty for files without one."""
+    return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
+
+
 def _without_control(value: Any) -> Any:
-    """The value with every text in it cleaned, names of entries too."""
+    """Return the value with every text in it cleaned, including names of entries."""
     if isinstance(value, dict):
         return {cleaned(key): _without_control(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -256,7 +264,7 @@ def _without_control(value: Any) -> Any:
 
 
 def _encoder(described: dict, own: Any) -> Any:
-    """Build an encoder; a module of the user's own is the given one."""
+    """Build an encoder; a user's own module is the given one."""
     settings = dict(described)
     module = settings.pop("module", None)
     if module is not None and own is None:
@@ -268,7 +276,7 @@ def _encoder(described: dict, own: Any) -> Any:
 
 
 def build(header: dict, own: Any = None) -> Model:
-    """Build the model the header describes; its leaves are placeholders. `own`: the user's module in its encoder."""
+    """Build the model of the header, its leaves as placeholders. `own`: the user's module in its encoder."""
     scales = header["scales"]
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
@@ -285,7 +293,7 @@ def build(header: dict, own: Any = None) -> Model:
         drive=_part(DRIVES, header["drive"]),
         effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
     )
-    # run once, as shapes: parts that do not fit each other would fail only in the first rollout
+    # run once, as shapes, because mismatched parts would otherwise fail only in the first rollout
     tokens, _ = model.tokens(jnp.zeros((model.order + model.memory.size,)))
     if tokens.shape != (model.order + 1,) or model.order != header["order"]:
         raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
@@ -293,7 +301,7 @@ def build(header: dict, own: Any = None) -> Model:
 
 
 def encode(value: Any) -> Any:
-    """Write a float that is not finite as {"float": "inf"}, which JSON has no number for, and a tuple as a list."""
+    """Encode a float that is not finite as {"float": "inf"}, which JSON has no number for, and a tuple as a list."""
     if isinstance(value, dict):
         return {k: encode(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -302,7 +310,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """Invert `encode`, but for tuples."""
+    """Decode values of `encode`; tuples stay lists."""
     if isinstance(value, dict):
         if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
             return float(value["float"])

@@ -1,6 +1,6 @@
-"""Check the numbers of a model file: a digest says that they are as written, not that they make a model.
+"""Check the numbers of a model file: an intact digest does not prove that they make a model.
 
-dt > 0,   scales > 0,   polarity = +-1,   everything finite but upper limits and bounds;   few parts of reasonable size
+dt > 0,   scales > 0,   polarity = +-1,   all finite except upper limits and bounds;   few parts of reasonable size
 """
 
 import math
@@ -16,7 +16,7 @@ LARGEST_FILE = 1 << 28  # bytes
 
 
 def check_header(header: dict) -> None:
-    """Refuse a header whose numbers make no model, before anything is built from it.
+    """Refuse a header with impossible numbers, before anything is built from it.
 
     Raises:
         BadInput: with all such numbers.
@@ -26,14 +26,14 @@ def check_header(header: dict) -> None:
 
 
 def header_problems(header: dict) -> list[str]:
-    """List the numbers of a header that make no model.
+    """Return the impossible numbers of a header.
 
     Raises:
         KeyError, TypeError, ValueError: entries are missing or of another kind.
     """
     domain, origin, output, scales = (header[name] for name in ("domain", "origin", "output", "scales"))
     low, high = domain["voltage_range"]
-    # the text of each is what the user is shown, all that fail in one line
+    # each key is the text shown to the user; all that fail come in one line
     checks = {
         f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
         f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,
@@ -44,7 +44,7 @@ def header_problems(header: dict) -> list[str]:
         f"sections {scales['sections']!r}": all(math.isfinite(s) and s != 0 for s in scales["sections"]),
         f"offset {output['offset']!r}": math.isfinite(output["offset"]),
         f"polarity {output['polarity']!r}": abs(output["polarity"]) == 1,
-        f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,  # no upper end: none was seen
+        f"voltage range {low!r} to {high!r}": math.isfinite(low) and low <= high,  # the upper end may be unknown
         f"slew {domain['slew']!r}": domain["slew"] >= 0,
         f"region {domain['region']!r}": all(a <= b for a, b in domain["region"]),
         f"clock {domain['clock']!r}": math.isfinite(domain["clock"]),
@@ -54,7 +54,7 @@ def header_problems(header: dict) -> list[str]:
     checks |= _history(origin)
     for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
         for key, value in part.items():
-            number = isinstance(value, (int, float))  # words are refused where parts are built (`parts`)
+            number = isinstance(value, (int, float))  # words are refused when parts are built (`parts`)
             fits = not number or (math.isfinite(value) and 0 <= value <= _LARGEST.get(key, math.inf))
             checks[f"{part['name']}: {key} {value!r}"] = fits and not (key == "horizon" and value == 0)
     long = header.get("long_record")
@@ -64,13 +64,17 @@ def header_problems(header: dict) -> list[str]:
 
 
 def _history(origin: dict) -> dict[str, bool]:
-    """What a model was made from, entry by entry: whether it has the shape in which pitp tells it."""
+    """Return for every entry of the origin whether it has the form that pitp writes."""
     training, adapted, lineage = origin["training"] or {}, origin["adapted"], origin["lineage"]
     names = (*origin["identified_on"], *origin["remarks"], *training.get("records", ()))
     numbers = [training.get(key) or 0.0 for key in ("seconds", "creep_held_to_s", "second_mass_hz")]
     changes = [change for entry in adapted for change in entry["changed"].values()]
     sources = [record for entry in lineage for record in entry.get("records", ())]
+    excited = [row for name in ("excited_input", "excited_output") for row in origin.get(name, ())]
     return {
+        "excited cells that are no rows of three numbers": all(
+            len(row) == 3 and row[0] > 0 and all(math.isfinite(v) and v >= 0 for v in row) for row in excited
+        ),
         "names of records that are no text": all(isinstance(name, str) for name in names),
         "seconds that are no number": all(isinstance(number, (int, float)) for number in numbers),
         "stages that are no table": all(isinstance(stage, dict) for stage in training.get("history", ())),
@@ -92,13 +96,13 @@ def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
 
 
 def leaf_problems(names: list[str], arrays: list[np.ndarray]) -> list[str]:
-    """List arrays that are not finite (bounds may be open), and a nominal without its highest derivative."""
+    """Return arrays that are not finite (bounds may be open), and a nominal without its highest derivative."""
     problems = []
     for name, array in zip(names, arrays, strict=True):
         good = not np.isnan(array).any() if name.endswith(".bounds") else np.isfinite(array).all()
         if not good:
             problems.append(f"{name} holds values that are not finite")
-        # the highest derivative is solved for: a 0 there divides every step by zero
+        # the equation is solved for the highest derivative, so a 0 there divides every step by zero
         elif name == ".coefficients" and array.size and array.reshape(-1)[-1] == 0:
             problems.append("its highest coefficient is 0")
     return problems
@@ -110,6 +114,6 @@ def _positive(value) -> bool:
 
 def _refuse(problems: list[str]) -> None:
     if problems:
-        # short and few: the values are a stranger's text on the user's terminal
+        # short and few, because the values are a stranger's text on the user's terminal
         listed = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
         raise BadInput(f"not a usable model file ({listed}); write it again with pitp")

@@ -1,11 +1,11 @@
-"""Compare explanations of one record by likelihood, where what they leave is coloured.
+"""Compare hypotheses on one record by likelihood, with coloured residuals.
 
     e_t = sum_j phi_j e_{t-j} + w_t,    w white           (autoregression of order P, Yule-Walker on the richest e)
     BIC = T log(sum_t w_t^2) + p log T                    (Schwarz, 1978)
 
 A model's error is strongly correlated: taken as white noise, any constant and any transient would be significant.
 Whitened by its own spectrum, a constant counts as many samples as the slow part of the error has independent values,
-and a transient is set against what the error holds at the transient's own frequency.
+and a transient is compared with the error at the transient's own frequency.
 """
 
 from collections.abc import Callable
@@ -18,12 +18,12 @@ _ORDER = 6
 
 
 def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Build the map (time, ...) -> (time, ...) that makes a signal with the error's spectrum white.
+    """Return a function (time, ...) -> (time, ...) that whitens signals with the error's spectrum.
 
     The first P samples are whitened by the Cholesky factor of their covariance, so no sample is lost.
     """
     size = len(error)
-    # divided by T at every lag: the Toeplitz matrix then has no negative eigenvalue, and 1 / phi is a stable filter
+    # Divided by T at every lag, so that the Toeplitz matrix has no negative eigenvalue and 1 / phi is a stable filter.
     lags = np.array([error[: size - k] @ error[k:] for k in range(_ORDER + 1)]) / size
     # a silent or perfectly predictable error would make the system singular
     lags[0] = lags[0] * (1 + 1e-9) + 1e-300
@@ -34,7 +34,7 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
 
     def whiten(values):
         white = np.asarray(scipy.signal.lfilter(np.append(1.0, -phi), [1.0], values, axis=0))
-        # the filter takes the time before the record for silent; it held the same noise
+        # the filter assumes silence before the record, which in fact held the same noise
         white[:_ORDER] = scipy.linalg.solve_triangular(first, values[:_ORDER], lower=True)
         return white
 
@@ -44,24 +44,24 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
 def project(
     values: Float[np.ndarray, " time"], columns: Float[np.ndarray, "time n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " time"]]:
-    """Fit the columns to the values by least squares: their factors, and the residual."""
-    # columns of one size: rcond then drops directions, not columns of small units
+    """Fit the columns to the values by least squares; return the factors and the residual."""
+    # columns of equal size, so that rcond drops directions, not columns of small units
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     factors = np.linalg.lstsq(columns / size, values, rcond=1e-10)[0] / size
     return factors, values - columns @ factors
 
 
 def criterion(residual: Float[np.ndarray, " time"], parameters: int, floor: float = 0.0) -> float:
-    """BIC of an explanation with this whitened residual, beside white noise of deviation `floor`."""
+    """Return the BIC of a hypothesis with this whitened residual, plus white noise of deviation `floor`."""
     size = len(residual)
     # without the floor a noise-free record would reward any digit of rounding that a parameter removes
     return float(size * np.log(max(residual @ residual + size * floor**2, 1e-300)) + parameters * np.log(size))
 
 
 def block_means(values: np.ndarray, weight: Float[np.ndarray, " time"], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Average over blocks of `size` samples: weighted means, shape (blocks, ...), and the mean weight in each.
+    """Return weighted means over blocks of `size` samples, shape (blocks, ...), and the mean weight in each.
 
-    Samples behind the last whole block are dropped.
+    Samples after the last whole block are dropped.
     """
     count = len(weight) // size
     w = weight[: count * size].reshape(count, size)

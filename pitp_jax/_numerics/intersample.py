@@ -5,17 +5,17 @@ foh            w_0 = 1 - f,  w_1 = f
 bandlimited    w_k = sinc(f - k) kaiser((f - k) / 8), normalised, k = -7 ... 8
 
 A signal generated below the Nyquist frequency is not linear between samples: foh weighs frequency f by sinc^2(f / fs),
-so a drive at a fifth of the sampling rate loses an eighth of its size (docs/decisions/decoder.md).
+so an input at a fifth of the sampling rate loses an eighth of its amplitude (docs/decisions/decoder.md).
 """
 
 import numpy as np
 from jaxtyping import Float
 
-_HALF, _BETA = 8, 8.0  # taps on either side, and beta of the Kaiser window that fades them out
+_HALF, _BETA = 8, 8.0  # taps on either side, and beta of their Kaiser window
 
 
 def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractions"]:
-    """Compute the weights of the samples t - taps / 2 + 1 ... t + taps / 2 for every fraction of a sample behind t."""
+    """Return the weights of the samples t - taps / 2 + 1 ... t + taps / 2 at fractions of a sample after t."""
     f = np.asarray(fractions, np.float64)[None]
     if hold == "zoh":
         return np.concatenate([np.ones_like(f), np.zeros_like(f)])
@@ -24,15 +24,15 @@ def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractio
     away = f - np.arange(1 - _HALF, _HALF + 1)[:, None]
     inside = np.clip(
         1 - (away / _HALF) ** 2, 0, None
-    )  # at the window's edge rounding must not ask for the root of less than 0
+    )  # at the window's edge rounding must not give the root of a negative number
     taps = np.sinc(away) * np.i0(_BETA * np.sqrt(inside)) / np.i0(_BETA)
-    return taps / taps.sum(0)  # a constant voltage stays exactly constant, which a truncated sinc does not promise
+    return taps / taps.sum(0)  # a constant voltage stays exactly constant, unlike with a truncated sinc
 
 
 def between(voltage, hold: str, fractions: np.ndarray, xp):
-    """Interpolate the voltage (time,) at every fraction behind every sample: (time, fractions).
+    """Interpolate the voltage (time,) at every fraction after every sample, shape (time, fractions).
 
-    Beyond its ends the voltage stays what it was there. `xp` is the array's module: numpy or jax.numpy.
+    Beyond its ends the voltage is constant. `xp` is the array's module: numpy or jax.numpy.
     """
     taps = weights(hold, fractions)
     half = len(taps) // 2

@@ -1,4 +1,4 @@
-"""Lags and oscillators over time, exact for an input that runs linearly between samples.
+"""Lags and oscillators over time, exact for an input that is linear between samples.
 
 s_{t+1} = q s_t + b_t           as an associative scan: |q| <= 1, about log2(T) steps one after the other
 """
@@ -20,7 +20,7 @@ def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], sta
     return jnp.append(start, powers * start + sums)
 
 
-# outside any program the scans inside would compile anew for every record
+# compiled, because outside any program the inner scans would compile anew for every record
 _compiled = partial(jax.jit, static_argnames="dt")
 
 
@@ -34,12 +34,12 @@ def first_order_lags(
     Blocks of about sqrt(T) samples run side by side, as in `linear_recurrence`.
     """
     fraction = (dt / tau).astype(x.dtype)
-    settle = -jnp.expm1(-fraction)  # 1 - q, which a plain difference loses to rounding where tau is many samples
+    settle = -jnp.expm1(-fraction)  # 1 - q, which a plain difference loses to rounding if tau is many samples
     slope = 1 - settle / fraction
     drive = settle * x[:-1, None] + slope * jnp.diff(x)[:, None]
     keep = 1 - settle
 
-    def free(steps, z):  # q^k by one exponential: no error builds up over a block
+    def free(steps, z):  # q^k by one exponential, so that no error accumulates over a block
         return jnp.exp(-fraction * steps[..., None]) * z
 
     return _blocked(lambda z, b: keep * z + b, free, drive, start)
@@ -51,7 +51,7 @@ def oscillator(
 ) -> Float[Array, "time 2"]:
     """Solve r'' = w^2 (x - r) - 2 zeta w r' exactly for x linear between samples; rows (r, r' / w).
 
-    Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w); what is left of the start rings out.
+    Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w), and the initial deviation decays.
     """
     pace = jnp.diff(x) / (omega * dt)  # a / w
     settled = jnp.stack([-2 * zeta * pace, pace], -1)
@@ -68,18 +68,18 @@ def oscillator(
         return settled.at[:, 0].add(at)
 
     one = jnp.ones((), x.dtype)
-    # only the distance from the settled motion rings: z_{t+1} = E (z_t - s(x_t)) + s(x_{t+1}), E = free(1, .)
+    # only the distance from the settled motion oscillates: z_{t+1} = E (z_t - s(x_t)) + s(x_{t+1}), E = free(1, .)
     return _blocked(lambda z, b: free(one, z) + b, free, ends(x[1:]) - free(one, ends(x[:-1])), start)
 
 
 def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n"]) -> Float[Array, "time n"]:
-    """Compute all s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): k steps without drive."""
+    """Compute all s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): k steps without input."""
     steps, size = drive.shape
     length = max(int((steps + 1) ** 0.5), 1)
     blocks = -(-steps // length)
     if blocks == 0:
         return start[None]
-    # steps behind the end are driven by zero and cut off again
+    # steps after the end have zero input and are cut off again
     padded = jnp.zeros((blocks * length, size), drive.dtype).at[:steps].set(drive)
 
     def advance(z, b):
@@ -94,22 +94,22 @@ def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n
         return free(ages[-1:], z)[0] + end, z
 
     starts = jax.lax.scan(chain, start, forced[-1])[1]
-    # superposition: what the drive did from zero, and what the block's true start does without drive
+    # superposition: the response to the input from zero, and the free response from the block's true start
     states = forced.swapaxes(0, 1) + jax.vmap(lambda z: free(ages, z))(starts)
     return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[:steps]])
 
 
 def lag_after(start, before, now, tau, dt) -> Array:
-    """Advance lags by one sample of dt (s), x linear from `before` to `now`: one step of `first_order_lags`."""
+    """Return lags one sample of dt (s) later, x linear from `before` to `now`: one step of `first_order_lags`."""
     return lag_followed(start, before, now, *lag_weights(tau, dt))
 
 
 def lag_weights(tau, dt) -> tuple[Array, Array]:
-    """Compute the two weights of `lag_followed` for samples of dt (s)."""
+    """Return the two weights of `lag_followed` for samples of dt (s)."""
     settle = -jnp.expm1(-dt / tau)
     return settle, 1 - settle * tau / dt
 
 
 def lag_followed(start, before, now, settle, ramp) -> Array:
-    """Advance lags by one sample, by weights of the distance to x and of the way that x itself goes."""
+    """Return lags one sample later, from weights of the distance to x and of the change of x."""
     return start + settle * (before - start) + ramp * (now - before)

@@ -2,18 +2,19 @@
 
     (H + lambda D) d = -g,    p_i + d_i <= upper_i          H = J'J,  g = J'r,  D = diag H
 
-`steps`        r and J come together: lambda follows how well C's quadratic foretold its fall (Nielsen, 1999)
-`accelerated`  J costs ten times what r does or more: at every J the best lambda, and a step that bends with r
+`steps`        r and J come together: lambda follows how well the quadratic model predicted C (Nielsen, 1999)
+`accelerated`  J costs at least ten times as much as r: the best lambda at every J, and a curved step
 
     (H + lambda D) a = -J'r_vv,   r_vv = (r(p + h d) - 2 r(p) + r(p - h d)) / h^2,   p <- p + d + a / 2
 
-Transtrum and Sethna (2012): a narrow valley bends, and a straight step leaves it at once (docs/decisions/free_runs.md).
-Priors are rows of r. H squares the condition number of J; float64, the scaling by D and the damping leave enough digits
-for the tens to hundreds of parameters of a model, beside residuals by the million that need not be kept at once.
+Transtrum and Sethna (2012): a narrow valley is curved, and a straight step leaves it at once
+(docs/decisions/free_runs.md). Priors are rows of r. H squares the condition number of J. Float64, the scaling by D and
+the damping leave enough digits for tens to hundreds of parameters, with millions of residuals that need not be stored
+at once.
 
-Not optimistix: it has no bounds, wants J itself (of 1e6 rows, where sums of P^2 numbers do), and compiles its loop,
-while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits what is small and compiled already
-(`_identify.frequency_fit`).
+Optimistix is not used: it has no bounds, needs J itself (1e6 rows instead of sums of P^2 numbers), and compiles its
+loop, while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits small, already compiled
+problems (`_identify.frequency_fit`).
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -28,13 +29,13 @@ from jaxtyping import Array, Float
 Blocks = Sequence[Float[np.ndarray | Array, "..."]]  # residuals, or their slopes with the parameters last
 
 _MAX_STEPS = 60
-_TOLERANCE = 1e-11  # relative decrease of the cost still to be had; in 1e5 samples 0.001 of a standard error
-_SLOW, _PATIENCE = 1e-6, 4  # that many steps in a row, each lowering the cost by less: a flat valley, walked far enough
-_LONGEST = 2.0  # largest change of a logarithm in one step: a factor e^2, beyond which the quadratic is a guess
+_TOLERANCE = 1e-11  # relative decrease of the cost still expected; in 1e5 samples 0.001 of a standard error
+_SLOW, _PATIENCE = 1e-6, 4  # as many steps in a row that each lower the cost by less: a flat valley
+_LONGEST = 2.0  # largest change of a logarithm in one step: a factor e^2, beyond which the quadratic is unreliable
 _FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-3, 4.0, 1e12
 _LOST_DIGITS = 1e-15  # of the largest eigenvalue: a direction below it is rounding
-_PROBE = 0.3  # h: far enough to see the bend above float32 rounding, near enough to stay on the same parabola
-_BENT = 0.75  # |a| over |d| (in D), beyond which a quadratic says nothing
+_PROBE = 0.3  # h: large enough to see the curvature above float32 rounding, small enough to stay on the same parabola
+_BENT = 0.75  # |a| over |d| (in D), beyond which the quadratic is unreliable
 
 
 class Normal(NamedTuple):
@@ -54,7 +55,7 @@ class Damped:
     """The damped normal matrix H + lambda D, factored once for every lambda: D^(-1/2) H D^(-1/2) = Q W Q'."""
 
     def __init__(self, hessian: np.ndarray):
-        # the tiny number keeps a parameter that no residual feels from dividing by zero
+        # the tiny number prevents a division by zero for a parameter that no residual depends on
         self.root = np.sqrt(np.diag(hessian) + 1e-300)
         values, self._vectors = np.linalg.eigh(hessian / np.outer(self.root, self.root))
         self._values = np.maximum(values, 0)  # rounding makes the smallest of a singular H negative
@@ -62,7 +63,7 @@ class Damped:
     def step(self, side: np.ndarray, damping: float) -> np.ndarray:
         """Solve (H + lambda D) d = -side."""
         values = self._values + damping
-        # parameters that the data cannot tell apart make it singular as lambda falls: then the smallest step
+        # with small lambda, parameters that the data do not separate make it singular: then the smallest step
         along = np.where(values > _LOST_DIGITS * values.max(), self._vectors.T @ (side / self.root) / values, 0.0)
         return -(self._vectors @ along) / self.root
 
@@ -76,8 +77,8 @@ def minimise(
 ) -> tuple[np.ndarray, bool]:
     """Find the parameters of least cost from `params` on, none above `upper`; and whether the tolerance was met.
 
-    At most `most` steps; one that lowers the cost by less than the fraction `least` is the last. Parameters with a
-    finite `upper` are taken for logarithms, in which a long step is never to be trusted.
+    It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
+    with a finite `upper` count as logarithms, whose long steps are shortened.
     """
     slow, before, best, converged = 0, np.inf, params, False
     for best, here, met in islice(steps(normal, params, upper), most):
@@ -92,39 +93,39 @@ def minimise(
 def steps(
     normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray
 ) -> Iterator[tuple[np.ndarray, Normal, bool]]:
-    """Yield parameters, their `Normal` and whether the tolerance is met: at the start and after every step down.
+    """Yield parameters, their `Normal` and whether the tolerance is met: at the start and after every accepted step.
 
-    Ends where it is met, where the start is not finite, or where no step leads down (met, if little was left to win).
+    It ends when it is met, if the start is not finite, or if no step lowers the cost (met, if little could be gained).
     """
     params = np.minimum(params, upper)
     here, damping, growth = normal(params), _FIRST_DAMPING, 2.0
     yield params, here, False
     while np.isfinite(here.cost) and np.isfinite(here.hessian).all():
         step = _within(here, damping, upper - params)
-        # shortened as a whole: the direction stays one of descent
+        # shortened as a whole, so that the direction remains one of descent
         step *= min(1.0, _LONGEST / max(float(np.abs(step[np.isfinite(upper)]).max(initial=0.0)), 1e-300))
-        # the fall of C that its quadratic promises, without the damping, which is no part of C
+        # the decrease of C predicted by its quadratic, without the damping, which is not part of C
         expected = float(-step @ (2 * here.gradient + here.hessian @ step))
-        # under heavy damping every step is short: that alone is not convergence
+        # with strong damping every step is short, which alone is not convergence
         if expected <= _TOLERANCE * here.cost and damping < 1.0:
             yield params, here, True
             return
         there = normal(params + step)
         ratio = (here.cost - there.cost) / expected if expected > 0 and np.isfinite(there.cost) else -1.0
-        if ratio > 0:  # any fall is taken; by how much the quadratic was trusted, the damping says (Nielsen's rule)
+        if ratio > 0:  # any decrease is accepted; the damping follows the quadratic's accuracy (Nielsen's rule)
             params, here, growth = params + step, there, 2.0
             damping *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
             yield params, here, False
         else:
             damping, growth = damping * growth, 2 * growth
-            if damping > _LARGEST_DAMPING:  # no way down: what is still expected is rounding
+            if damping > _LARGEST_DAMPING:  # no decrease possible: the remaining prediction is rounding
                 yield params, here, expected <= _SLOW * here.cost
                 return
 
 
 def _within(here: Normal, damping: float, room: np.ndarray) -> np.ndarray:
-    """Solve for the damped step that moves no parameter up by more than its `room`; the others make up for those."""
-    # at its bound already, and the cost falls beyond it
+    """Return the damped step that moves no parameter up by more than its `room`; the others compensate."""
+    # at its bound already, while the cost decreases beyond it
     step, fixed = np.zeros(len(room)), (room <= 0) & (here.gradient < 0)
     while not fixed.all():
         free = ~fixed
@@ -146,12 +147,12 @@ class _Trial(NamedTuple):
 def accelerated(
     errors: Callable[[np.ndarray], Blocks], slopes: Callable[[np.ndarray], Blocks], params: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float, bool]]:
-    """Yield parameters, sum of squares there, and whether no step leads down: at the start and after every step down.
+    """Yield parameters, sum of squares and whether no step lowers it: at the start and after every accepted step.
 
     Args:
         errors: blocks of residuals r at given parameters.
         slopes: of the same blocks dr/dp, with one axis more, the last.
-        params: where to start.
+        params: initial values.
     """
     here, damping = errors(params), _FIRST_DAMPING
     cost = _cost(here)
@@ -166,12 +167,12 @@ def accelerated(
 
 
 def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tuple[_Trial, float]:
-    """Search the damping downhill on a geometric grid from the last one, and upwards until a step leads down at all."""
-    trial = cache(trial)  # turning round meets the grid points of the way out again
+    """Search the damping on a geometric grid from the last one, upwards until a step lowers the cost."""
+    trial = cache(trial)  # the search back meets the same grid points again
     best = trial(damping)
     for factor in (1 / _DAMPING_FACTOR, _DAMPING_FACTOR):
         after = trial(damping * factor)
-        # less damping is tried only as long as it pays; more also while nothing leads down, as a short step must
+        # less damping is tried only while it helps; more also until a step lowers the cost, as a short step must
         while after.cost < best.cost or (best.cost >= cost and factor > 1 and damping < _LARGEST_DAMPING):
             best, damping = after, damping * factor
             after = trial(damping * factor)
@@ -179,9 +180,9 @@ def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tu
 
 
 def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float], _Trial]:
-    """Build fn(damping): the step from `params`, and the cost behind it."""
+    """Return fn(damping): the step from `params`, and its cost."""
     hessian = np.sum([_gram(j) for j in jacobian], axis=0)
-    if not np.isfinite(hessian).all():  # an unstable run overflowed: no step from here can be trusted
+    if not np.isfinite(hessian).all():  # an unstable run overflowed, so no step from here is reliable
         return lambda damping: _Trial(np.inf, params, here)
     matrix, gradient = Damped(hessian), _pull(jacobian, here)
 
@@ -189,7 +190,7 @@ def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float],
         step = matrix.step(gradient, damping)
         ahead, behind = errors(params + _PROBE * step), errors(params - _PROBE * step)
         bend = [(a - 2 * r + b) / _PROBE**2 for a, r, b in zip(ahead, here, behind, strict=True)]
-        if all(np.isfinite(b).all() for b in bend):  # else a probe ran away, and the straight step decides alone
+        if all(np.isfinite(b).all() for b in bend):  # otherwise a probe diverged, and the straight step is used alone
             turn = matrix.step(_pull(jacobian, bend), damping)
             if np.linalg.norm(matrix.root * turn) <= _BENT * np.linalg.norm(matrix.root * step):
                 step = step + turn / 2
@@ -202,12 +203,12 @@ def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float],
 
 
 def _cost(blocks: Blocks) -> float:
-    # in float64: steps of the end differ by less than float32 can add over 1e5 samples
+    # in float64, because the last steps differ by less than float32 can add over 1e5 samples
     return float(sum(np.sum(np.square(b, dtype=np.float64)) for b in blocks))
 
 
 def _pull(jacobian: Blocks, blocks: Blocks) -> np.ndarray:
-    """Multiply residuals by J' (J'r), summed over the blocks."""
+    """Return J'r, summed over the blocks."""
     products = [_xp(j).tensordot(b, j, np.ndim(b)) for j, b in zip(jacobian, blocks, strict=True)]
     return np.sum([np.asarray(p, np.float64) for p in products], axis=0)
 
@@ -218,5 +219,5 @@ def _gram(slopes) -> np.ndarray:
 
 
 def _xp(array):
-    """Name the array's own module: a block stays where it is, in its own precision."""
+    """Return the array's own module, so that a block stays on its device, in its own precision."""
     return np if isinstance(array, np.ndarray) else jnp

@@ -1,9 +1,9 @@
-"""Estimate the noise's spectrum in a residual whose gap and drive have lines: lower quartiles of the periodogram.
+"""Estimate the noise spectrum of a residual whose model error and input have lines, by lower quartiles.
 
     P(f) = S(f) lower quartile over a band's bins of |E|^2 / (0.2877 S)
 
-S: the colour, the lower quartile of |E|^2 over all records near f; 0.2877: of the mean of an exponential variable. Only
-the last 60 % of a record is used, after its transients.
+S: the colour, the lower quartile of |E|^2 over all records near f; 0.2877: lower quartile of an exponential variable of
+mean 1. Only the last 60 % of a record is used, after its transients.
 """
 
 from collections.abc import Callable
@@ -12,38 +12,38 @@ import numpy as np
 
 _QUARTILE = -np.log(0.75)  # P(E < q) = 1 - exp(-q) = 1/4: a bin of noise is exponential about its density
 _BINS = 24
-_NEAR = 0.25  # in ln f: bins that tell the colour at f, a quarter of a band's distance to the next but one
+_NEAR = 0.25  # in ln f: range of bins for the colour at f, a quarter of a band's distance to the next but one
 
 
 def band_edges(samples: int, dt: float) -> np.ndarray:
-    """Divide 0 to the Nyquist frequency into bands of at least 24 bins and a fifth of their frequency."""
+    """Return band edges (Hz) from 0 to the Nyquist frequency, at least 24 bins and a fifth of the frequency wide."""
     width, top = _BINS / (samples * dt), 0.5 / dt
     edges = [0.0]
     while edges[-1] + width < top:
         edges.append(edges[-1] + max(width, 0.2 * edges[-1]))
-    # the last band takes the remainder: on its own it might hold too few bins for a quartile
+    # the last band takes the remainder, which alone might have too few bins for a quartile
     edges[-1:] = [top] if len(edges) > 1 else [0.0, top]
     return np.array(edges)
 
 
 def periodogram(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Compute the one-sided density (per Hz) at the frequencies (Hz) of the tail, but for those of its mean."""
+    """Return frequencies (Hz) and one-sided density (per Hz) of the tail, without those of its mean."""
     tail = error[int(0.4 * len(error)) :]
     seen = counts[int(0.4 * len(error)) :]
     tail = tail - tail[seen].mean() if seen.any() else tail
-    window = np.hanning(len(tail)) * seen  # samples that do not count weigh nothing, here and in the divisor
+    window = np.hanning(len(tail)) * seen  # samples that do not count have weight zero, here and in the divisor
     power = 2 * dt * np.abs(np.fft.rfft(tail * window)) ** 2 / max(np.sum(window**2), 1e-30)
-    return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]  # the window spreads what is left of the mean into bin 1
+    return np.fft.rfftfreq(len(tail), dt)[2:], power[2:]  # the window spreads the remaining mean into bin 1
 
 
 def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
-    """Estimate the one-sided density (per Hz) of every band in one record's residual."""
+    """Return the one-sided density (per Hz) of every band in one record's residual."""
     power = periodogram(error, counts, dt)
     return levels_of(*power, edges, colour_of([power]))
 
 
 def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
-    """Fit S(f) up to a factor: lower quartiles over all records' bins near a frequency, joined in logarithms."""
+    """Return S(f) up to a factor: lower quartiles over all records' bins near a frequency, log-interpolated."""
     f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
     order = np.argsort(f)
     place, p = np.log(f[order]), p[order]
@@ -56,11 +56,11 @@ def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def levels_of(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
-    """Estimate the density of every band from its bins and the colour."""
+    """Return the density of every band from its bins and the colour."""
     shape, levels = colour(frequency), []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         here = (frequency >= low) & (frequency < high)
-        # divided by the colour first: where noise falls within a band, a plain quartile reads its far end
+        # divided by the colour first, because with falling noise a plain quartile would represent the band's far end
         bins = np.quantile(power[here] / shape[here], 0.25) / _QUARTILE if here.any() else 0.0
         levels.append(bins * shape[here].mean() if here.any() else 0.0)
     return np.array(levels)

@@ -1,10 +1,10 @@
-"""Differentiate a traced path: the interpolating spline of `spline_derivative` as products with constant matrices.
+"""Differentiate a traced path: the spline of `spline_derivative` as products with constant matrices.
 
-    x^(i)_t dt^i = sum_s W_i(s) x_{t+s},  |s| <= R       W: the spline's answer to a single sample
+    x^(i)_t dt^i = sum_s W_i(s) x_{t+s},  |s| <= R       W: the spline's response to a single sample
     within R samples of an end, and for a short path: rows of the spline's own matrix
 
-Every sum runs over differences from one sample of its own block: W_i sums to zero, and rounding then counts by how far
-the path goes within a block.
+Every sum uses differences from one sample of its own block. W_i sums to zero, so rounding depends only on the motion
+within a block.
 """
 
 from functools import lru_cache
@@ -26,7 +26,7 @@ def _matrix(count: int, order: int) -> Float[np.ndarray, "count count order"]:
 
 @lru_cache
 def _band(order: int) -> Float[np.ndarray, "window block order"]:
-    """Build the matrix from the samples of a block and R on either side to the block's derivatives."""
+    """Return the matrix from the samples of a block and R on either side to the block's derivatives."""
     r = reach(order)
     taps = inner(np.eye(1, 4 * r + 1, 2 * r)[0], 1.0, order)[::-1, 1:]  # by s = -R ... R
     band = np.zeros((_BLOCK + 2 * r, _BLOCK, order))

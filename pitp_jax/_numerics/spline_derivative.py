@@ -1,11 +1,11 @@
-"""Differentiate a sampled path by recursive filters: what an interpolating spline does away from its ends.
+"""Differentiate a sampled path by recursive filters, equal to an interpolating spline away from its ends.
 
     x = b * c,   x^(i)_t = dt^-i sum_j c_{t-j} B^(i)(j)              B: B-spline of odd degree, b_j = B(j)
     c = g (forward then backward) of y_t = x_t + sum_k p_k y_{t-k},  poles z of b inside the unit circle (Unser, 1993)
 
-Start-up errors decay like max|z|^t, 0.43 (quintic) or 0.54 (septic), so R = 51 or 67 samples from either side nothing
-is left of them in float64. Near the two ends of a path the spline itself is used. Equal to `derivatives` to
-rounding, and local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
+Start-up errors decay like max|z|^t, 0.43 (quintic) or 0.54 (septic), so they vanish in float64 after R = 51 or 67
+samples from either side. Near the two ends of a path the spline itself is used. Equal to `derivatives` to rounding, and
+local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
 """
 
 from functools import lru_cache
@@ -52,7 +52,7 @@ def _spline(order: int) -> _Spline:
 
 
 def reach(order: int) -> int:
-    """Tell how many samples R on either side a derivative takes."""
+    """Return the number of samples R that a derivative uses on either side."""
     return _spline(order).reach
 
 
@@ -64,7 +64,7 @@ def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndar
     back = np.asarray(scipy.signal.lfilter([1.0], s.recursion, x))[::-1]
     c = np.asarray(scipy.signal.lfilter([s.gain], s.recursion, back))[::-1]
     tokens = np.empty((kept, order + 1))
-    tokens[:, 0] = x[s.reach : s.reach + kept]  # the spline interpolates: no rounding of its own in x
+    tokens[:, 0] = x[s.reach : s.reach + kept]  # the spline interpolates, so x has no rounding of its own
     for i, weights in enumerate(s.slopes, start=1):
         # B is even, so B^(i)(-j) = (-1)^i B^(i)(j): half the products, and none at 0 for odd i
         sign, total = 1.0 - 2.0 * (i % 2), np.zeros(kept)

@@ -1,4 +1,4 @@
-"""Choose between two arrays: `jnp.where` of three arguments, whose result JAX up to 0.9 annotates as array or tuple."""
+"""Choose between two arrays: `jnp.where` with three arguments, annotated as an array for JAX up to 0.9."""
 
 from typing import Any, cast
 

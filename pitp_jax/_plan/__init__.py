@@ -1,11 +1,11 @@
-"""Plan: what is known of a rig and its actuator in, the recordings to take out.
+"""Plan: proposes the recordings to take, from the limits of the rig and the knowledge of the actuator.
 
-    limits (voltage, slew, displacement, band) -> drives      growth, sweep, a space-filling set, repeats
-    trained model + its records -> Fisher information of free runs -> those that lower the expected error most
+    limits (voltage, slew, displacement, band) -> inputs      growth, sweep, a space-filling set, repeats
+    trained model + its records -> Fisher information of free runs -> inputs that lower the expected error most
 
-Verb: `plan`. `limits` says what every drive keeps, `drives` how points become voltages, `first_session` their order,
-`strokes` how far a drive goes,
-`expected_error` and `information` what recordings tell of a model, `page` what each is for.
+Verb: `plan`. `limits` holds the limits of every input, `drives` converts points to voltages, `first_session` orders
+them, `strokes` predicts the stroke of an input, `expected_error` and `information` estimate the information in
+recordings, and `page` explains the purpose of each.
 """
 
 from .planning import Plan as Plan

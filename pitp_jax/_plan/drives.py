@@ -4,8 +4,8 @@
     w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
 
 A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a fraction that grows as
-the root of a uniform number); the lowest voltage zero at three points of four, else its force uniform below h^2 (what
-that is worth: docs/decisions/plan.md).
+the root of a uniform number); the lowest voltage is zero at three points of four, otherwise its force is uniform below
+h^2 (benefit: docs/decisions/plan.md).
 """
 
 from dataclasses import dataclass
@@ -16,11 +16,11 @@ from scipy.stats import qmc
 from .._record.waveforms import smooth_step
 from .limits import Limits
 
-_LEAST = 0.15  # of the largest force: what a drive reaches at least
-_MOST = 0.7  # of its highest force: where its lowest one lies at most
+_LEAST = 0.15  # of the largest force: the smallest peak of an input
+_MOST = 0.7  # of its highest force: the largest value of its lowest one
 _DENSE = 0.5  # exponent of a uniform number: below 1, more points near the largest force
-_FROM_ZERO = 0.75  # of the points have the lowest voltage of the limits, as most drives that a rig is tested with
-_SLEW = 0.999  # of the limit: rounding in a file must not exceed it
+_FROM_ZERO = 0.75  # of the points have the limits' lowest voltage, as most test inputs do
+_SLEW = 0.999  # of the limit, so that rounding in a file does not exceed it
 
 
 @dataclass(frozen=True)
@@ -30,13 +30,13 @@ class Planned:
     Attributes:
         name: of its file, in the order of playing.
         kind: sweep, sine, multisine or steps.
-        purpose: what it is for, one sentence.
+        purpose: its purpose, one sentence.
         time: in s, shape (T,).
         voltage: in V, shape (T,), from zero to zero.
         rest: seconds at 0 V after it.
-        stroke: largest displacement a model expects, m; nan without a model.
-        stroke_half_damped: the same where its damping is half of what the model says.
-        go_on: largest stroke (m) at which it may follow the recordings before it; infinity where there is no limit.
+        stroke: largest displacement predicted by a model, m; nan without a model.
+        stroke_half_damped: the same with half of the model's damping.
+        go_on: largest stroke (m) of the recordings before it at which it may follow; infinity without a limit.
     """
 
     name: str
@@ -51,12 +51,12 @@ class Planned:
 
     @property
     def seconds(self) -> float:
-        """Length in s."""
+        """Return the duration, s."""
         return len(self.time) * self._dt
 
     @property
     def slew(self) -> float:
-        """Steepest change in V/s."""
+        """Return the steepest change, V/s."""
         return float(np.abs(np.diff(self.voltage)).max()) / self._dt
 
     @property
@@ -67,7 +67,7 @@ class Planned:
 def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
     """Draw Sobol points (frequency in Hz, lowest and highest voltage in V), shape (count, 3)."""
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
-    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced for powers of two alone
+    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced only for powers of two
     first, last = np.log(limits.band)
     force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** _DENSE
     high = limits.high * np.sqrt(force)
@@ -77,12 +77,12 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
 
 
 def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
-    """Make a sine whose frequency and extremes go through points (K, 3), each for a K-th of the time; shape (T,)."""
+    """Return a sine whose frequency and extremes pass through points (K, 3), each for a K-th of the time, (T,)."""
     t = np.arange(round(seconds * limits.rate)) / limits.rate
     at = t / seconds * len(points)
     k = np.minimum(at.astype(int), len(points) - 1)
     after = np.minimum(k + 1, len(points) - 1)
-    # most of its time at the point itself, then smoothly on: a jump of frequency or bias would excite all modes
+    # mostly at the point itself, then a smooth change, because a jump would excite all modes
     mix = smooth_step((at - k - 0.7) / 0.3)[:, None]
     f, low, high = ((1 - mix) * points[k] + mix * points[after]).T
     phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(f)[:-1]]) / limits.rate
@@ -90,7 +90,7 @@ def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
 
 
 def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
-    """Add mean and swing (T,) with ramps from zero and back; the swing is made smaller until the slew is kept."""
+    """Return mean plus swing (T,) with ramps from zero and back; the swing shrinks until the slew limit is met."""
     size, most = len(swing), _SLEW * limits.slew / limits.rate
     mean = np.broadcast_to(np.asarray(mean, np.float64), size)
     rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
@@ -102,7 +102,7 @@ def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.nd
         if np.abs(np.diff(voltage)).max() <= most:
             return np.clip(voltage, limits.low, limits.high)
         factor *= 0.9
-    # even 0.2 % of the swing is too steep: the ramps alone are
+    # even 0.2 % of the swing is too steep, because the ramps alone are
     return np.clip(_gently(window * mean, most), limits.low, limits.high)
 
 

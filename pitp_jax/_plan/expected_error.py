@@ -1,10 +1,10 @@
-"""Estimate a trained model's expected held-out error, by Laplace about its trained numbers.
+"""Estimate a trained model's expected held-out error by a Laplace approximation about its trained parameters.
 
     p | records ~ N(p^, s^2 (sum_r T_r M_r + rho sum_r T_r)^-1)       M_r: mean over time of J'J, errors in % of range
-    s^2 = e^2 tau,   e: what the model leaves of its records, %,   tau = dt sum_k c_k^2: Bartlett's time between
+    s^2 = e^2 tau,   e: residual on its own records, %,   tau = dt sum_k c_k^2: Bartlett's time between
     independent samples of errors with autocorrelation c_k
 
-rho: the prior of `refine`, which weighs a record by its mean as M_r does; T_r: seconds.
+rho: the prior of `refine`, which weights a record by its mean like M_r; T_r: seconds.
 """
 
 from collections.abc import Sequence
@@ -28,13 +28,13 @@ from .._train.parameters import parameters
 from .._train.refine import prior_weights, thinning
 from .._train.settings import Settings, firmness_of
 
-_AT_ONCE = 8  # runs a batch: their slopes are (errors, numbers) each
-_STILL = 1e-3  # of the largest range: a run that moves less says nothing
+_AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
+_STILL = 1e-3  # of the largest range: a run that moves less carries no information
 
 
 @dataclass(frozen=True)
 class Motions:
-    """Free runs under voltages: M per run (P, P), its largest displacement and range (m), whether it stayed finite."""
+    """Free runs under voltages: M per run (P, P), largest displacement and range (m), whether it stayed finite."""
 
     information: tuple[np.ndarray, ...]
     stroke: np.ndarray
@@ -45,10 +45,10 @@ class Motions:
 def motions(
     model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
 ) -> Motions:
-    """Compute what free runs under these voltages tell; a run that leaves every range, or stands still, tells nothing.
+    """Compute the information of free runs under these voltages; diverged or motionless runs carry none.
 
-    Errors are in % of sqrt(range^2 + floor^2), floor in m: the noise does not shrink with the motion. Without `slopes`
-    only how far they go.
+    Errors are in % of sqrt(range^2 + floor^2), floor in m, because the noise does not shrink with the motion. Without
+    `slopes` only displacements and ranges are computed.
     """
     model, parts, places = at_rate(model, dt), [], alike(voltages, len)
     for some in places:
@@ -60,18 +60,18 @@ def motions(
 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """Compute the same for runs of like length, padded to one."""
+    """Compute `motions` for runs of similar length, padded to one length."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
     start = _starts(model, drive[:, 0], dt)
     x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
-    # what was lost or padded tells nothing, and is no nan in the sums behind
+    # diverged and padded samples carry no information, and must not bring nan into the sums
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
     tells = finite & (span > _STILL * span.max())
-    # infinite: weight zero, so that a run which was lost adds no information, not nan
+    # infinite, so that a diverged run has weight zero instead of nan
     against = np.where(tells, np.hypot(span, floor / scale), np.inf)
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     information = []
@@ -83,7 +83,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
 
 
 def _batches(*arrays):
-    """Cut arrays into parts of equally many runs, filled up with copies of the last: one compiled program."""
+    """Yield arrays in parts of equally many runs, padded with copies of the last, for one compiled program."""
     count = len(arrays[0])
     for first in range(0, count, _AT_ONCE):
         part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
@@ -96,7 +96,7 @@ def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
 
 
 def _starts(model: Model, first: np.ndarray, dt: float):
-    """Start at rest where a drive begins at zero volts, else settled at what it begins with."""
+    """Return initial states: at rest if an input starts at zero volts, otherwise settled at its first value."""
     rest = rest_state(model)
     held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
     settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
@@ -105,13 +105,13 @@ def _starts(model: Model, first: np.ndarray, dt: float):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the records so far tell of a model.
+    """The information in the records so far about a model.
 
     Attributes:
-        precision: of the trained numbers, per unit of s^2, shape (P, P).
+        precision: of the trained parameters, per unit of s^2, shape (P, P).
         unit: s^2 in %^2 s.
-        error: what the model leaves of its records, % of range.
-        floor: the range (m) of a motion whose noise alone is that error.
+        error: residual of the model on its own records, % of range.
+        floor: the range (m) of a motion for which noise alone gives that error.
     """
 
     precision: np.ndarray
@@ -121,22 +121,22 @@ class Knowledge:
 
 
 def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
-    """Compute what the records it was trained on tell of a model.
+    """Compute the information in a model's training records about it.
 
     Raises:
-        BadInput: a model without trained numbers, or one that diverges on every record.
+        BadInput: a model without trained parameters, or one that diverges on every record.
     """
     start, sizes = parameters(model)
     if not len(start):
         raise BadInput("the model has no trained numbers; give one of `pitp fit`")
     dt = records[0].dt
-    # a diverged run says that the model does not hold there, not by how much
+    # a diverged run shows that the model fails there, but not by how much
     misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
     if not misses:
         raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
     errors, taus = np.array(misses).T
     error = float(np.sqrt(np.mean(errors**2)))
-    # a drive that hardly moves the actuator is lost in the noise, however well the model knows it
+    # an input that hardly moves the actuator gives only noise, even if the model predicts it well
     floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
     played = motions(model, [r.voltage for r in records], dt, floor=floor)
     seconds = np.array([r.samples * dt for r in records])
@@ -146,11 +146,11 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
 
 
 def _miss(record: Record, prediction) -> tuple[float, float]:
-    """Compute e_rms in % of range, and Bartlett's time between independent errors, s."""
+    """Return e_rms in % of range, and Bartlett's time between independent errors, s."""
     seen = record.observed & prediction.scored
     e = np.where(seen, prediction.displacement - record.displacement, 0.0)
     e = e - seen * e[seen].mean()
-    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2  # twice the length: no correlation of the end with the beginning
+    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2  # twice the length: no correlation of the end with the start
     c = np.fft.irfft(power)[: len(e)]
     tau = record.dt * (2 * float(np.sum((c / c[0]) ** 2)) - 1) if c[0] > 0 else record.dt
     return 100 * float(np.sqrt(np.mean(e[seen] ** 2)) / np.ptp(record.displacement[seen])), tau

@@ -2,13 +2,13 @@
 
     growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force,
              smaller at frequencies at which the slew allows less
-    sweep    the whole band once, slowly: what a linear model is identified on
-    set      drives through the points of a space-filling set over frequency, lowest and highest voltage; small first
-    repeat   its first recording again: what differs is noise and drift
+    sweep    the whole band once, slowly, to identify a linear model
+    set      inputs through the points of a space-filling set over frequency, lowest and highest voltage; small first
+    repeat   its first recording again, to measure noise and drift
 
-No later recording exceeds the voltage or the slew to which those of the growth were raised. A recording may follow
-where the largest stroke so far, times how much farther it can go than all before it (`growth`: the square of the
-voltage, and what a slower drive makes of a resonance of damping 0.01), stays below the limit.
+No later recording exceeds the highest voltage or slew of the growth. A recording may follow if its predicted largest
+stroke stays below the limit. The prediction is the largest stroke so far times the greatest possible increase
+(`growth`: the square of the voltage, and the gain at a resonance of damping 0.01).
 """
 
 from collections.abc import Sequence
@@ -24,21 +24,21 @@ from .strokes import growth
 
 _GROWTH = (0.25, 0.5, 0.71, 1.0)
 _PARTS = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have the remainder
-_RAISED = 1.1  # voltage of a sweep of the growth over the one before it, at least
-_STEEP = 0.85  # of the slew that the swing takes: its envelope takes the remainder
-FEWEST = 8  # recordings of a set where the duration allows: fewer train a smaller encoder
-POINTS = 3  # a recording goes through
-MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set where no duration is given
+_RAISED = 1.1  # least ratio of a growth sweep's voltage to the one before
+_STEEP = 0.85  # of the slew for the swing; its envelope takes the remainder
+FEWEST = 8  # recordings of a set if the duration allows: fewer train a smaller encoder
+POINTS = 3  # that a recording passes through
+MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set if no duration is given
 
 
 def default_duration(limits: Limits, fresh: bool) -> float:
-    """Choose the seconds of drive where none are given."""
+    """Return the default duration of all inputs together, s."""
     filling = FEWEST * max(limits.shortest, MOST_PERIODS / limits.band[0])
     return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits)) if fresh else filling
 
 
 def _least(limits: Limits) -> float:
-    """Compute the seconds a first session takes: two periods in the sweep, ramps in each sweep of the growth."""
+    """Return the shortest first session (s): two periods in the sweep, ramps in each growth sweep."""
     growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _PARTS["growth"]
     return max(limits.shortest / _PARTS["sweep"], growth)
 
@@ -47,7 +47,7 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
     """Plan all recordings of a first session, in the order of playing.
 
     Raises:
-        BadInput: a duration in which they do not fit.
+        BadInput: a duration that is too short for them.
     """
     part = {name: part * duration for name, part in _PARTS.items()}
     one, swept = part["growth"] / len(_GROWTH), part["sweep"]
@@ -67,7 +67,7 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
 
 
 def _growth(seconds: float, limits: Limits) -> list[Planned]:
-    """Plan the sweeps of the growth, named by the voltage that they play; none that raises it by less than a tenth."""
+    """Plan the growth sweeps, named by their voltage; skip those that raise it by less than a tenth."""
     grown, reached = [], 0.0
     for level in _GROWTH:
         time, voltage = _swept(level, seconds, limits)
@@ -82,24 +82,24 @@ def _growth(seconds: float, limits: Limits) -> list[Planned]:
 
 
 def _swept(level: float, seconds: float, limits: Limits):
-    """Sweep the band between zero and `level` of the highest voltage."""
+    """Return time and voltage of a sweep of the band between zero and `level` of the highest voltage."""
     top = level * limits.high / 2
     time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
     first, last = limits.band
     hz = first + (last - first) * time / seconds
-    # the slew limits the fast end of the band alone: the slow end plays the whole voltage
+    # the slew limits only the fast end of the band; the slow end uses the whole voltage
     swing = np.minimum(1.0, _STEEP * limits.slew / (2 * np.pi * hz * top))
-    # the swing ends before the mean ramps down, or both slews would add
+    # the swing ends before the mean ramps down; otherwise both slews would add
     ramp = min(limits.ramp(2 * top), seconds / 8)
     swing *= smooth_step((seconds - ramp - time) / (4 * ramp))
     return time, within(top, swing * wave, limits)
 
 
 def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
-    """Plan drives that fill frequency, lowest and highest voltage, the smallest first.
+    """Plan inputs that fill frequency, lowest and highest voltage, the smallest first.
 
     Raises:
-        BadInput: a duration shorter than one drive.
+        BadInput: a duration shorter than one input.
     """
     count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
     if count < 1:
@@ -108,7 +108,7 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
             f"{limits.shortest:.3g} s"
         )
     points = space_filling(count * POINTS, limits, seed)
-    # every count-th point: neighbours in a Sobol sequence lie far apart, and each recording gets some of everything
+    # Every count-th point: neighbours in a Sobol sequence are far apart, so that each recording gets a mixture.
     drives = [drive(points[k::count], duration / count, limits) for k in range(count)]
     return tuple(sorted(drives, key=lambda d: float(np.abs(d.voltage).max())))
 
@@ -130,9 +130,9 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 def in_order(
     recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
 ) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and turn every second one where asked for.
+    """Number the recordings, add the strokes at which each may follow, and negate every second one if requested.
 
-    `recorded`: the largest stroke of the recordings that were taken before, m.
+    `recorded`: the largest stroke of the earlier recordings, m.
     """
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
     farther = _farther(recordings, limits, recorded) if bound else []
@@ -145,7 +145,7 @@ def in_order(
 
 
 def _farther(recordings: Sequence[Planned], limits: Limits, recorded: float) -> np.ndarray:
-    """Compute how much farther than all before it each recording may go; shape (recordings,).
+    """Return how much larger each recording's stroke may be than all before it, shape (recordings,).
 
     A model predicts both strokes, the next one with half its damping. Without a model any resonance of the band counts.
     """

@@ -1,10 +1,10 @@
-"""Choose the recordings that tell most of what is to be predicted, by what each tells of a model's trained numbers.
+"""Choose the recordings with the most information about the predictions, from each one's effect on the parameters.
 
-    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: a free run's answer to the numbers, in units of its error
-    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the drives to be predicted
+    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: derivatives of a free run by the parameters, in units of its error
+    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the inputs to be predicted
     next   = argmin_c v(c), then Lambda <- Lambda + M_next                     (greedy, Laplace, V-optimal)
 
-v is the mean variance of the predictions; the prior stands in Lambda as one more recording.
+v is the mean variance of the predictions; the prior enters Lambda as one more recording.
 """
 
 from collections.abc import Sequence
@@ -13,19 +13,19 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-_JITTER = 1e-9  # of the mean diagonal: float32 slopes leave a matrix barely singular
+_JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix barely singular
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A candidate taken: its place, and the mean variance of predictions once it is recorded."""
+    """A chosen candidate: its index, and the mean variance of the predictions once it is recorded."""
 
     place: int
     variance: float
 
 
 def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
-    """Compute tr(Lambda^-1 G) for (P, P) matrices."""
+    """Return tr(Lambda^-1 G) of (P, P) matrices."""
     size = len(precision)
     return float(
         np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), predicted))
@@ -33,7 +33,7 @@ def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
 
 
 def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray) -> np.ndarray:
-    """Compute v(c) of every candidate's information M_c, shape (candidates,)."""
+    """Return v(c) for the information M_c of every candidate, shape (candidates,)."""
     return np.array([variance(precision + c, predicted) for c in candidates])
 
 
@@ -46,10 +46,10 @@ def choose(
         precision: Lambda before, shape (P, P).
         candidates: M_c, shape (P, P) each.
         predicted: G, shape (P, P).
-        count: how many, at most all.
+        count: number of recordings, at most all.
         again: whether a candidate may be taken twice.
     """
-    # one at a time: all subsets of 48 would be too many, and two candidates that tell the same are not both taken
+    # One at a time: subsets of 48 would be too many, and two candidates with the same information are not both chosen.
     remaining, taken = list(range(len(candidates))), []
     while remaining and len(taken) < count:
         after = gains(precision, [candidates[k] for k in remaining], predicted)

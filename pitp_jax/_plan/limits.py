@@ -1,8 +1,8 @@
-"""Keep what a rig and a membrane allow a planned recording.
+"""Limits of the rig and the actuator that every planned recording keeps.
 
     low <= u <= high,   |u'| <= slew,   |x| <= farthest,   f_low <= f <= f_high <= rate / 20
 
-Limits that are not given are those of the recordings a model was made from.
+Limits that are not given are taken from the training records of the model.
 """
 
 import math
@@ -12,26 +12,26 @@ from .._errors import BadInput
 from .._table.quantity import Units
 
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
-_DEFAULT_RATE = 100.0  # samples a period where no rate is given
-_PERIODS = 2.0  # of the lowest frequency that a recording must hold
+_DEFAULT_RATE = 100.0  # samples a period if no rate is given
+_PERIODS = 2.0  # of the lowest frequency that a recording must contain
 _RAMPS = 0.5  # fraction of a recording that its two ramps may take
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What every planned recording keeps.
+    """Limits that every planned recording keeps.
 
     Attributes:
         low, high: voltage range in V, low <= 0 < high.
         slew: V/s.
-        farthest: displacement from 0 V either way in m, or infinity.
-        band: lowest and highest drive frequency in Hz.
+        farthest: largest displacement from 0 V in both directions, m, or infinity.
+        band: lowest and highest input frequency in Hz.
         rate: samples per second.
         rest: seconds at zero input after each recording.
         units: for messages, names and files; all numbers here are in base units.
 
     Raises:
-        BadInput: what cannot be met, all of it in one line.
+        BadInput: with all limits that cannot be met, in one line.
     """
 
     low: float
@@ -44,7 +44,7 @@ class Limits:
     units: Units = Units()
 
     def __post_init__(self):
-        """Refuse what no recording could meet."""
+        """Refuse limits that no recording could meet."""
         first, last = self.band
         wrong = []
         units = self.units
@@ -67,18 +67,18 @@ class Limits:
 
     @property
     def shortest(self) -> float:
-        """Seconds a recording must last: two periods of the lowest frequency, the ramps at most half of it."""
+        """Return the shortest recording (s): two periods of the lowest frequency, at most half of it ramps."""
         return max(_PERIODS / self.band[0], 2 * self.ramp(self.high) / _RAMPS)
 
     def ramp(self, volts: float) -> float:
-        """Compute the seconds of a smooth step of so many volts, whose steepest slope is 15/8 of the mean one.
+        """Return the duration (s) of a smooth step of so many volts, whose steepest slope is 15/8 of its mean.
 
-        And not faster than half a period of the highest frequency, so that a step excites no more than the band.
+        It is at least half a period of the highest frequency, so that a step excites no more than the band.
         """
         return max(2.0 * abs(volts) / self.slew, 0.5 / self.band[1])
 
 
 def default_rate(high_hz: float) -> float:
-    """Choose a hundred samples a period of the highest frequency, rounded up to two digits."""
+    """Return a hundred samples a period of the highest frequency, rounded up to two digits."""
     digits = 10.0 ** math.floor(math.log10(_DEFAULT_RATE * high_hz) - 1)
     return math.ceil(_DEFAULT_RATE * high_hz / digits - 1e-9) * digits

@@ -1,9 +1,9 @@
-"""Choose the next recordings for a trained model: among candidates, or among recordings that exist.
+"""Choose the next recordings for a trained model, among candidates or among existing recordings.
 
-    taken one after another, each the one that lowers v most, until what it lowers is below what could be seen:
+    chosen one after another, each the one that lowers v most, until the improvement is too small to see:
     1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
 
-v: mean variance of the predictions (`information`), e: what the model leaves of its records, noise included, both in %
+v: mean variance of the predictions (`information`), e: residual of the model on its own records, with noise; both in %
 of a recording's range. Refinement of a fit stops at the same fraction.
 """
 
@@ -22,13 +22,13 @@ from .information import choose, variance
 from .limits import Limits
 from .strokes import strokes
 
-_CANDIDATES, _PREDICTED = 48, 16  # drives to choose among, and drives to be predicted
+_CANDIDATES, _PREDICTED = 48, 16  # candidate inputs, and inputs to be predicted
 _SEEN = 0.01
 
 
 @dataclass(frozen=True)
 class Next:
-    """Recordings, the expected error (%) before and after each, how many of them are worth taking, and notes."""
+    """Recordings, the expected error (%) before and after each, how many are worth taking, and notes."""
 
     recordings: tuple[Planned, ...]
     expected: tuple[float, ...]
@@ -37,10 +37,10 @@ class Next:
 
 
 def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
-    """Keep drives whose predicted stroke stays below the limit with half the damping too; and note the others.
+    """Return the inputs whose stroke stays below the limit even with half the damping, and a note on the others.
 
     Raises:
-        BadInput: none does.
+        BadInput: none is allowed.
     """
     reached = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
     kept = [
@@ -59,12 +59,12 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
-    """Choose of candidates that fill frequency, swing and bias those that lower the expected error under such drives.
+    """Choose the candidates (over frequency, swing and bias) that lower the expected error most under such inputs.
 
     Raises:
-        BadInput: a length shorter than one recording, or no drive within the stroke allowed.
+        BadInput: a length shorter than one recording, or no input within the allowed stroke.
     """
-    # of one length, so that what a candidate lowers compares with what another does
+    # of one length, so that the gains of candidates can be compared
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
     count = int(length / one * (1 + 1e-9))
     if count < 1:
@@ -72,7 +72,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     points = space_filling(_CANDIDATES * POINTS, limits, seed)
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)
-    # other points than the candidates': those would all predict themselves best
+    # other points than the candidates', which would predict themselves best
     wanted = [drive(p[None], one, limits) for p in space_filling(_PREDICTED, limits, seed + 1)]
     known = knowledge(model, records)
     offered, predicted = (
@@ -111,11 +111,11 @@ def _lowered(expected: Sequence[float], j: int) -> str:
 def greedy(
     known: Knowledge, offered: Motions, predicted: Motions, seconds: np.ndarray, count: int
 ) -> tuple[list[int], tuple[float, ...], int]:
-    """Choose `count` candidates: places, expected error in % before and after each, and how many lower it visibly."""
+    """Choose `count` candidates; return indices, expected errors (%) before and after, and how many help visibly."""
     g = np.mean([m for m, ok in zip(predicted.information, predicted.finite, strict=True) if ok], axis=0)
     taken = choose(known.precision, [t * m for t, m in zip(seconds, offered.information, strict=True)], g, count)
     v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in taken)])
-    # beside what the model leaves anyway: a variance that falls below that is not seen in any measured error
+    # compared with the model's residual: a variance below it cannot be seen in any measured error
     seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
     worth = len(taken) if seen.all() else int(np.argmin(seen))
     return [c.place for c in taken], tuple(map(float, np.sqrt(v))), worth

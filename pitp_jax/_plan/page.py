@@ -1,4 +1,4 @@
-"""Write the page of a plan: what to play, in which order, what each recording is for, and when to stop."""
+"""The page of a plan: the recordings to play in order, the purpose of each, and when to stop."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,11 +15,11 @@ from .strokes import LEAST_DAMPING
 
 
 def page(plan: Plan, model: str = "") -> str:
-    """Write a self-contained HTML page.
+    """Return the plan as a self-contained HTML page.
 
     Args:
-        plan: of `plan`.
-        model: file of the model it is for; empty for a first session.
+        plan: result of `plan`.
+        model: file of its model; empty for a first session.
     """
     title = headline(plan, bool(model))
     parts = [
@@ -35,7 +35,7 @@ def page(plan: Plan, model: str = "") -> str:
 
 
 def headline(plan: Plan, modelled: bool) -> str:
-    """Say the plan in one line."""
+    """Return the plan in one line."""
     if plan.stop:
         return "Stop: another recording would not lower the error visibly"
     what = "more recordings" if modelled else "recordings"

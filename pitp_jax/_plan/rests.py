@@ -1,4 +1,4 @@
-"""Choose the rest between two recordings: until the actuator is at rest again.
+"""Choose the pause between two recordings, so that the actuator is at rest again.
 
 with a model    last time at which |x| is above 0.5 % of its largest value, after a hold at the largest voltage
 without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the band
@@ -11,8 +11,8 @@ from .._model.model import Model
 from .._simulate.decoder import rest_state, rollout_batch
 from .._simulate.prediction import at_rate
 
-_LEFT = 0.005  # of the stroke: what a sensor's noise hides
-_HELD, _LONGEST = 3.0, 30.0  # s: before the rest, and the rest at most
+_LEFT = 0.005  # of the stroke: hidden in sensor noise
+_HELD, _LONGEST = 3.0, 30.0  # s: hold before the rest, and longest rest
 _DAMPING = 0.05  # of an actuator without a model
 
 
@@ -23,7 +23,7 @@ def first_rest(band: tuple[float, float]) -> float:
 
 
 def rest_after(model: Model, volts: float, rate: float) -> float:
-    """Return the rest after which the model has come back from a voltage, s, rounded up to tenths."""
+    """Return the time in which the model returns to rest from a voltage, s, rounded up to tenths."""
     model = at_rate(model, 1 / rate)
     u = np.zeros(round((_HELD + _LONGEST) * rate), np.float32)
     held = round(_HELD * rate)

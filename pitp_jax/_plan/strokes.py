@@ -1,9 +1,9 @@
-"""Predict how far a drive moves an actuator: on a model, on one with half its damping, and where there is no model yet.
+"""Predict the stroke of an input: with a model, with half its damping, and without a model.
 
     x'' + 2 zeta w x' + w^2 x = w^2 u^2        zeta = 0.01, any w of the band: without a model, up to one factor
 
-Damping is what a model knows least, and what a stroke at the resonance depends on most: a drive is only proposed if it
-stays within the stroke allowed with half of it as well.
+Damping is the least certain parameter of a model and determines the stroke at the resonance. So an input is only
+proposed if it stays within the allowed stroke with half of the damping as well.
 """
 
 from collections.abc import Sequence
@@ -14,26 +14,26 @@ from scipy.signal import cont2discrete, find_peaks, lfilter
 from .._model.model import Model
 from .expected_error import motions
 
-LEAST_DAMPING = 0.01  # of an actuator nobody has identified yet
+LEAST_DAMPING = 0.01  # of an actuator that has not been identified yet
 _HALF = 0.5
-_PLACES, _LINES = 40, 3  # resonances over the band, and lines of a drive's own force
+_PLACES, _LINES = 40, 3  # resonances over the band; lines of an input's own force
 _TRIES, _MARGIN = 12, 0.98
 
 
 def half_damped(model: Model) -> Model:
-    """Make the nominal's resonances ring twice as long; its stiffness stays."""
+    """Return the model with half the damping of its oscillating poles and the same stiffness."""
     a = model.physical_coefficients
     poles = np.roots(a[::-1])
     rings = np.abs(poles.imag) > 0
     slower = np.where(rings, poles.real * _HALF, poles.real)
-    # a pair keeps its size |p|, and with it the stiffness
+    # a pair keeps its magnitude |p|, and with it the stiffness
     turned = np.sign(poles.imag) * np.sqrt(np.maximum(np.abs(poles) ** 2 - slower**2, 0.0))
     moved = np.real(np.poly(np.where(rings, slower + 1j * turned, poles)))[::-1]
     return model.changed(moved / moved[0] * a[0] / a)
 
 
 def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarray:
-    """Predict the largest |x| (m) under each voltage, on the model and half damped; infinite where it runs away.
+    """Return the largest |x| (m) under each voltage, with full and with half the damping; infinite if it diverges.
 
     Args:
         model: any.
@@ -48,7 +48,7 @@ def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarr
 
 
 def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: float, slew: float) -> np.ndarray | None:
-    """Make the voltage smaller, as a whole, until both strokes and the slew are kept; None if it cannot be.
+    """Return the voltage scaled down until both strokes and the slew meet the limits; None if impossible.
 
     Args:
         model: any.
@@ -63,22 +63,22 @@ def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: flo
         reached = float(strokes(model, [scale * voltage], dt).max())
         if reached <= farthest:
             return scale * voltage
-        power = 0.5 if model.input_map.one_sided else 1.0  # a stroke goes with the force, about; the force with u^2
+        power = 0.5 if model.input_map.one_sided else 1.0  # force grows as u^2, the stroke about as the force
         scale *= max((_MARGIN * farthest / reached) ** power, 0.1) if np.isfinite(reached) else 0.5
     return None
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Compute how much farther than all before it a drive may go at worst, damping 0.01; shape (voltages,).
+    """Return the largest possible ratio of each input's stroke to all before it (damping 0.01), shape (voltages,).
 
     Args:
         voltages: V, in the order of playing.
         dt: sampling interval, s.
-        band: where the resonance may be, Hz; one a half above it is tried as well.
+        band: possible range of the resonance, Hz; resonances up to 50 % above it are also tried.
     """
     forces = [u * u for u in voltages]
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
-    # a resonance of damping 0.01 is narrower than the grid: on a line of some drive it would be missed
+    # a resonance of damping 0.01 is narrower than the grid, so an input's own line could miss it
     places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))
     filters = [_sampled(hz, dt) for hz in places]
     reached = np.array([[np.abs(lfilter(b, a, f)).max() for b, a in filters] for f in forces])
@@ -89,7 +89,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
 
 
 def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Find the frequencies of the largest lines of a force, Hz."""
+    """Return the frequencies (Hz) of the largest lines of a force."""
     size = np.abs(np.fft.rfft(force - force.mean()))
     hz = np.fft.rfftfreq(len(force), dt)
     peaks = find_peaks(size)[0]

@@ -1,4 +1,4 @@
-"""Virtual actuators with a known truth, their equations other than the model's: membrane, relaxation, Maxwell stress.
+"""Virtual actuators with known equations that differ from the model's: membrane, relaxation, Maxwell stress.
 
 Verbs: `plant` (one of the paper's four), `record` (an excitation measured on it), `simulate`, `stepper`.
 """

@@ -2,9 +2,9 @@
 
     y' = f(y, u(t)),    u(t_i + s) = u_i + s (u_{i+1} - u_i) / dt  (foh)    or    u_i  (zoh),    0 <= s < dt
 
-Fixed classical Runge-Kutta steps end on every sample, so none crosses a kink of u and the fourth order holds;
-at 0.03 rad of the natural frequency per step they stay within 1e-7 of the range on the paper's records. The
-adaptive steps are diffrax's, and end there too: a controller left to find the kinks takes five times as long.
+Fixed classical Runge-Kutta steps end on every sample, so none crosses a kink of u and the fourth order holds; at 0.03
+rad of the natural frequency per step they stay within 1e-7 of the range on the paper's records. The adaptive steps are
+diffrax's, and end there too: a step controller that searches for the kinks takes five times as long.
 """
 
 import math
@@ -20,7 +20,7 @@ _PHASE_STEP = 0.03  # largest angle of the natural frequency per Runge-Kutta ste
 
 
 def substeps(plant: Plant, dt: float) -> int:
-    """Count the Runge-Kutta steps per sample of `dt` s, at most 0.03 rad of the natural frequency each."""
+    """Return the Runge-Kutta steps per sample of `dt` s, at most 0.03 rad of the natural frequency each."""
     return max(1, math.ceil(2.0 * math.pi * plant.resonance_hz * dt / _PHASE_STEP))
 
 
@@ -70,7 +70,7 @@ def fixed(plant, voltage, dt, count, hold):
         return jax.lax.scan(body, rest(plant), (row[:-1], row[1:]))[1]
 
     moved = jax.vmap(one)(voltage)
-    # the scan gives the ends of samples; every record begins at rest, x = 0
+    # the scan returns the ends of samples; every record starts at rest, x = 0
     return jnp.pad(moved, ((0, 0), (1, 0)))
 
 
@@ -83,7 +83,7 @@ def adaptive(plant, voltage, dt, hold):
     def rate(t, y, _):
         i = jnp.floor(t / dt).astype(int)
         i = jnp.clip(i - (t < grid[i]) + (t >= grid[i + 1]), 0, last)  # t / dt may round across a sample
-        # a held voltage jumps at samples only, where the controller is told to stop (`jump_ts`)
+        # a held voltage jumps only at samples, where the controller stops (`jump_ts`)
         part = t / dt - i if hold == "foh" else 0.0
         return plant.derivative(y, voltage[i] + part * (voltage[i + 1] - voltage[i]))
 
@@ -94,7 +94,7 @@ def adaptive(plant, voltage, dt, hold):
         diffrax.Dopri8(),
         t0=0.0,
         t1=grid[-1],
-        dt0=None,  # the controller's own first step: a roll and a cone differ by a factor 20 in time
+        dt0=None,  # the controller's own first step, because a roll and a cone differ by a factor 20 in time
         y0=rest(plant),
         saveat=diffrax.SaveAt(ts=grid, fn=lambda t, y, args: y[0]),
         stepsize_controller=control,

@@ -9,11 +9,11 @@ With the distance z = z_eq + x from the undeformed shape, and the squared stretc
     I     = p^2 q + p^2 + 1/(p^4 q) - 3,
     b_i'  = (L - b_i^2 / L) / (2 tau_i),      b_i(0) = 1.
 
-The bracket holds the Gent spring (neo-Hookean as J -> inf; incompressible, prestretch p both ways, the hoop
-kept there), the Maxwell branches with squared viscous stretch b_i (energy K_i (L/b_i + b_i/L - 2)/4), and the
-Kelvin-Voigt damping of the membrane; d is the friction of guide and air. The ideal dielectric has the
-capacitance C q. z_eq balances gravity at u = 0. Nothing here is a polynomial in x, and no model in this
-package has the b_i for states: a truth of another form.
+The bracket holds the Gent spring (neo-Hookean as J -> inf; incompressible, prestretch p both ways, the hoop kept
+there), the Maxwell branches with squared viscous stretch b_i (energy K_i (L/b_i + b_i/L - 2)/4), and the Kelvin-Voigt
+damping of the membrane; d is the friction of guide and air. The ideal dielectric has the capacitance C q. z_eq balances
+gravity at u = 0. Nothing here is a polynomial in x, and no model in this package has the states b_i, so the actuator
+differs from every model.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ GRAVITY = 9.81  # m/s^2
 
 
 def _root(function, low: float, high: float) -> float:
-    """Find the one root of a function of z (m) between two ends of opposite sign."""
+    """Return the only root of a function of z (m) between two ends of opposite sign."""
     return float(cast(float, brentq(function, low, high, xtol=1e-15)))
 
 
@@ -68,14 +68,14 @@ class Plant:
     """A virtual actuator: the constants of the equations of motion above, and of its sensor.
 
     Attributes:
-        name: the name `plant` knows it by.
+        name: its name in `plant`.
         rate_hz: sampling rate of the paper's experiment in Hz.
         mass: moved mass m in kg.
         max_voltage: rating in V; the equations are well-behaved up to it.
         noise_std: standard deviation of the sensor noise in m.
         sensor_range: the sensor reads -sensor_range ... +sensor_range (m) in 16 bit.
         scale: a typical displacement in m; the integration works in multiples of it.
-        geometry: how the stretch follows from the displacement.
+        geometry: relation between stretch and displacement.
         prestretch: p, in both directions of the plane.
         spring: K = shear modulus times volume of elastomer, in J.
         limit: Gent's limit J of I.
@@ -103,19 +103,19 @@ class Plant:
 
     @cached_property
     def rest_position(self) -> float:
-        """z_eq in m: the relaxed equilibrium under gravity at u = 0."""
+        """Return z_eq, the relaxed equilibrium under gravity at u = 0, m."""
         return _root(lambda z: self.relaxed_force(z, 0.0), 0.0, self.last_position)
 
     @cached_property
     def last_position(self) -> float:
-        """The position in m at which the Gent spring locks (less 1 %), or four widths."""
-        # I grows with z beyond the prestretch, so the first point over the limit is the one below which z may move
+        """Return the position (m) at which the Gent spring locks (minus 1 %), or four widths."""
+        # I grows with z beyond the prestretch, so z may move below the first point over the limit
         z = np.linspace(0.0, 4.0 * self.geometry.width, 4001)
         return float(z[np.searchsorted(self._invariant(self.geometry.stretch(z)[0]), 0.99 * self.limit) - 1])
 
     def _invariant(self, q):
         """Compute I = I_1 - 3 of the membrane at the squared stretch q."""
-        # stretches p sqrt(q), p and, since the elastomer keeps its volume, 1 / (p^2 sqrt(q)), squared
+        # stretches p sqrt(q), p and, because the elastomer keeps its volume, 1 / (p^2 sqrt(q)), squared
         p2 = self.prestretch**2
         return p2 * q + p2 + 1.0 / (p2**2 * q) - 3.0
 
@@ -124,7 +124,7 @@ class Plant:
         p2 = self.prestretch**2
         q, slope = self.geometry.stretch(z)
         gent = self.limit / (self.limit - self._invariant(q))  # stiffens without bound as the chains lock
-        # energy U(q): the force is U' dq/dz; of the capacitor, C q u^2 / 2 at constant voltage, likewise
+        # energy U(q): the force is U' dq/dz; of the capacitor, C q u^2 / 2 at constant voltage, in the same way
         spring = 0.5 * self.spring * gent * (p2 - 1.0 / (p2 * q) ** 2) * slope
         return self.mass * GRAVITY - spring + 0.5 * self.capacitance * u**2 * slope
 
@@ -143,7 +143,7 @@ class Plant:
         """
         u = np.asarray(u, dtype=np.float64)
         rest, last = self.rest_position, self.last_position
-        # voltage only adds to z; half the rest position is below every root, since gravity wins there
+        # voltage only increases z; half the rest position is below every root, because gravity dominates there
         roots = [_root(lambda z, v=v: self.relaxed_force(z, v), 0.5 * rest, last) - rest for v in u.ravel()]
         return np.asarray(roots).reshape(u.shape)[()]
 
@@ -171,5 +171,5 @@ class Plant:
 
     @cached_property
     def resonance_hz(self) -> float:
-        """Natural frequency of the one mechanical mode at u = 0 in Hz, for small motions."""
+        """Return the natural frequency of the only mechanical mode at u = 0 for small motions, Hz."""
         return float(abs(max(np.linalg.eigvals(self.linearised()), key=np.imag)) / (2.0 * np.pi))

@@ -1,11 +1,11 @@
-"""Simulate virtual actuators after the paper's four (section III): known truth for demo, tests and experiments.
+"""Virtual actuators modelled on the paper's four (section III), for demo, tests and experiments.
 
     u(t) between samples ──▶ equations of `physics` ──▶ x(t_i) ──▶ + noise, read in 16 bit
 
-Integrated in float64 whatever the session's precision: by Runge-Kutta steps of fixed length that end on every
-sample, or by diffrax's adaptive Dopri8 (`method="adaptive"`), against which the former is tested. `cone100`,
-`cone122` and `cone150` are one membrane under three masses: one mode, at 7.4 Hz with 100 g (a drive at 3.7 Hz
-meets it through u^2), and some 10 % of creep; `roll` has one mode at 142 Hz and little creep.
+Integrated in float64 whatever the session's precision: by Runge-Kutta steps of fixed length that end on every sample,
+or by diffrax's adaptive Dopri8 (`method="adaptive"`), the reference for its tests. `cone100`, `cone122` and `cone150`
+are one membrane under three masses: one mode, at 7.4 Hz with 100 g (excited by an input at 3.7 Hz through u^2), and
+some 10 % of creep; `roll` has one mode at 142 Hz and little creep.
 """
 
 import zlib
@@ -66,7 +66,7 @@ _HOLDS = ("foh", "zoh")
 
 
 def plant(name: str) -> Plant:
-    """Look up the virtual actuator of that name.
+    """Return the virtual actuator of that name.
 
     Args:
         name: `cone100`, `cone122`, `cone150` (acrylic, under 100, 122, 150 g) or `roll` (silicone).
@@ -75,7 +75,7 @@ def plant(name: str) -> Plant:
         its parameters.
 
     Raises:
-        ValueError: no such plant; the message lists those there are.
+        ValueError: no such plant; the message lists all plants.
 
     Examples:
         >>> pitp.plant("roll").rate_hz
@@ -92,7 +92,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     Args:
         plant: the virtual actuator.
         time: uniform sample times in s, shape (T,).
-        voltage: drive voltage in V, shape (..., T); records of one length share one integration.
+        voltage: input voltage in V, shape (..., T); records of one length share one integration.
         hold: the voltage between samples: "foh" linear, "zoh" held from each sample to the next.
         method: "fixed" Runge-Kutta steps between samples, or "adaptive" (Dopri8, slower, the reference).
 
@@ -113,14 +113,14 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     _one_of("hold", hold, _HOLDS)
     _one_of("method", method, ("fixed", "adaptive"))
     rows = voltage.reshape(-1, len(time))
-    # in float32 rounding would add up to more than the 1e-7 of the range that the steps leave
+    # in float32, rounding would exceed the error of the steps, 1e-7 of the range
     with jax.enable_x64(True):
         if method == "fixed":
             x = fixed(plant, rows, dt, substeps(plant, dt), hold)
         else:
             x = jnp.stack([adaptive(plant, row, dt, hold) for row in rows])
         x = np.asarray(x)
-    # beyond it the Gent spring would change its sign, and the motion mean nothing; nan fails too
+    # beyond it the Gent spring would change its sign and the motion would be meaningless; nan fails too
     if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
             f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
@@ -131,7 +131,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
 def record(
     plant: Plant, excitation_name: str, time, voltage, *, seed: int, noise: bool = True, hold: str = "foh"
 ) -> Record:
-    """Measure one record of a virtual actuator.
+    """Return one noisy record of a virtual actuator.
 
     Args:
         plant: the virtual actuator.
@@ -155,7 +155,7 @@ def record(
     """
     displacement = simulate(plant, time, voltage, hold=hold)
     if noise:
-        # a checksum, since Python's `hash` of a text differs from session to session
+        # a checksum, because Python's `hash` of a text differs from session to session
         rng = np.random.default_rng([seed, zlib.crc32(f"{plant.name}/{excitation_name}".encode())])
         digit = 2.0 * plant.sensor_range / 2**16  # noise first, then rounding and clipping, as a converter reads
         noisy = displacement + plant.noise_std * rng.standard_normal(displacement.shape)
@@ -189,17 +189,17 @@ def stepper(plant: Plant, *, hold: str = "foh"):
 
 
 def _interval(time, voltage) -> float:
-    """Compute the sampling interval in s; refuse what cannot be one record."""
+    """Return the sampling interval (s); refuse times that cannot be one record."""
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
         raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
     dt = float((time[-1] - time[0]) / (len(time) - 1))
-    # the scan knows one dt: a jitter of a hundredth is that of a logged clock, more is another experiment
+    # the scan has one dt: a jitter of a hundredth is that of a logged clock, more is not uniform
     if dt <= 0.0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise ValueError("time must increase uniformly, to 1 % of a sample")
     return dt
 
 
 def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
-    """Refuse an option that is not known."""
+    """Refuse an unknown option."""
     if value not in known:
         raise ValueError(f"no {what} {value!r}; there are {', '.join(known)}")

@@ -1,9 +1,9 @@
-"""Recordings: files in, `Record`s out, checked, in V, m and s (or V and V), NumPy and float64 throughout.
+"""Recordings: reads files into checked `Record`s in V, m and s (or V and V), as NumPy float64.
 
-Verbs: `read` (files and folders to records), `read_target` (a wanted motion), `read_voltage` (a drive alone). A record
+Verbs: `read` (files and folders to records), `read_target` (a wanted motion), `read_voltage` (an input alone). A record
 is one excitation of one actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and
-differentiates it (paper, eqs. 8 and 9), `initial_state` says how it begins, `excitation` makes the drives of the
-paper's protocol, and `writing` puts files down whole or not at all.
+differentiates it (paper, eqs. 8 and 9), `initial_state` estimates its initial state, `excitation` makes the inputs of
+the paper's protocol, and `writing` writes files completely or not at all.
 """
 
 from . import excitation as excitation

@@ -1,4 +1,4 @@
-"""What a record must be before anything is computed from it.
+"""Checks that a record must pass before anything is computed from it.
 
 |t_i - (a + b i)| <= 0.01 b for some straight line a + b i,    T >= 64,
 u_i finite for all i,    y_i finite or nan (missing) and finite for at least one i
@@ -14,8 +14,8 @@ from .._errors import BadInput
 
 MIN_SAMPLES = 64
 TIME_TOLERANCE = 0.01  # of one sample
-LATEST = 1e11  # s, 3170 years: later than any clock, days since the year 0 (MATLAB) included
-_ROUNDING = 1e-6  # of one sample: an offset of exactly 1 % must not be refused by the last bit
+LATEST = 1e11  # s, 3170 years: later than any clock, including days since the year 0 (MATLAB)
+_ROUNDING = 1e-6  # of one sample: rounding must not refuse an offset of exactly 1 %
 
 
 def _sample(index: int) -> str:
@@ -33,17 +33,17 @@ def check_samples(
     uniform: bool = True,
     least: int = MIN_SAMPLES,
 ) -> None:
-    """Refuse samples no later step could use.
+    """Refuse samples that no later step could use.
 
     Args:
         time: sample times in s, shape (T,).
-        voltage: drive in V, shape (T,).
+        voltage: input in V, shape (T,).
         displacement: output in m or V, shape (T,); nan where missing.
         source: file or record, for the message.
         columns: names of the three columns, for the message.
-        place: turns a sample index (from 0) into words, for the message (`sample 7 (line 9)`).
+        place: converts a sample index (from 0) to words, for the message (`sample 7 (line 9)`).
         uniform: whether the times must be uniform already.
-        least: how many samples are needed.
+        least: required number of samples.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, infinite values, missing input or time, no output at
@@ -69,7 +69,7 @@ def check_samples(
             f"column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
             "missing; leave this record out or pick another column with --output-column"
         )
-    # an infinite time was told above
+    # an infinite time was reported above
     if not np.isinf(time).any():
         try:
             (check_time if uniform else _check_clock)(time, source, columns[0], place)
@@ -86,7 +86,7 @@ def check_wanted(
     columns: tuple[str, str] = ("time", "displacement"),
     place: Callable[[int], str] = _sample,
 ) -> None:
-    """Refuse a trajectory that has gaps; arguments as for `check_samples`, however few samples there are.
+    """Refuse a trajectory with gaps; arguments as for `check_samples`, for any number of samples.
 
     Raises:
         BadInput: shapes differ, fewer than two samples, non-uniform time, a wanted sample missing or infinite.
@@ -127,7 +127,7 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
 
 
 def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
-    """Refuse times that are missing or that no clock shows."""
+    """Refuse times that are missing or that no clock could show."""
     missing = np.isnan(time)
     if missing.any():
         raise BadInput(
@@ -188,7 +188,7 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
 
 
 def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
-    """a, b of the line a + b k nearest to the times; sums, not BLAS products, whose threads cost more.
+    """Return a, b of the line a + b k nearest to the times; sums are faster here than BLAS with its threads.
 
     Args:
         index: k, shape (T,).
@@ -200,10 +200,10 @@ def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
 
 
 def _grid_offset(time: np.ndarray) -> np.ndarray:
-    """Distance of every time from the best uniform grid, in samples, shape (T,).
+    """Return the distance of every time from the best uniform grid, in samples, shape (T,).
 
-    The grid is fitted by least squares; where that is not within the tolerance but near it, by the smallest
-    largest distance, so that jitter of up to 1 % about any uniform grid passes.
+    The grid is fitted by least squares. If that slightly exceeds the tolerance, the largest distance is minimised, so
+    that jitter of up to 1 % about any uniform grid passes.
     """
     index = np.arange(len(time))
     start, dt = line(index, time)

@@ -1,13 +1,12 @@
-"""Numerical differentiation of a stretch of samples.
+"""Numerical differentiation of a series of samples.
 
     central   (d x)_t = (x_{t+1} - x_{t-1}) / (2 dt), one-sided at both ends   (paper, eq. 8)
     stencil   (d x)_t = sum_{k=1..4} c_k (x_{t+k} - x_{t-k}) / dt   (8th order)
               c = 4/5, -1/5, 4/105, -1/280
 
-Eq. 8 applied twice multiplies x'' of a sine by (sin(w dt) / (w dt))^2, 3.6 % too small at w dt = 0.33 (130 Hz
-twice, at 5 kHz); the force is not attenuated with it, so the coefficients would be biased. The stencil is off
-by 5e-7 there. Near the ends it falls back to 6th, 4th and 2nd order, at the ends themselves to a one-sided
-difference of 2nd order.
+Eq. 8 applied twice multiplies x'' of a sine by (sin(w dt) / (w dt))^2, 3.6 % too small at w dt = 0.33 (130 Hz twice, at
+5 kHz); the force is not attenuated, so the coefficients would be biased. The stencil is off by 5e-7 there. Near the
+ends it falls back to 6th, 4th and 2nd order, at the ends themselves to a one-sided difference of 2nd order.
 """
 
 import numpy as np
@@ -22,7 +21,7 @@ MIN_LENGTH = 9
 
 
 def central(values: np.ndarray, dt: float) -> np.ndarray:
-    """First derivative by eq. 8, to the letter.
+    """Return the first derivative exactly by eq. 8.
 
     Args:
         values: shape (T,), T >= 2.
@@ -39,7 +38,7 @@ def central(values: np.ndarray, dt: float) -> np.ndarray:
 
 
 def stencil(values: np.ndarray, dt: float) -> np.ndarray:
-    """First derivative by the 8th-order central difference.
+    """Return the first derivative by the 8th-order central difference.
 
     Args:
         values: shape (T,), T >= 9.
@@ -54,7 +53,7 @@ def stencil(values: np.ndarray, dt: float) -> np.ndarray:
     inside = slice(4, count - 4)
     for k, weight in enumerate(_STENCILS[3], start=1):
         slope[inside] += weight * (values[4 + k : count - 4 + k] - values[4 - k : count - 4 - k])
-    # towards the ends ever shorter stencils, which still are central
+    # towards the ends shorter stencils, which are still central
     for reach in (1, 2, 3):
         for at in (reach, count - 1 - reach):
             slope[at] = sum(

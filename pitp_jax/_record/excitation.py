@@ -29,10 +29,10 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Excitation:
-    """A drive, before it has been applied to anything.
+    """A voltage over time that can be played.
 
     Attributes:
-        name: what a record of it would be called.
+        name: for its record.
         time: sample times in s from 0, shape (T,).
         voltage: in V, shape (T,).
     """
@@ -43,13 +43,13 @@ class Excitation:
 
     @property
     def dt(self) -> float:
-        """Sampling interval in s."""
+        """Return the sampling interval, s."""
         return float(self.time[-1] / (len(self.time) - 1))
 
 
 @dataclass(frozen=True)
 class _Protocol:
-    """The numbers of section III-C for one actuator; volts, hertz, seconds."""
+    """The values of section III-C for one actuator, in V, Hz and s."""
 
     rate: float
     f_start: float
@@ -110,7 +110,7 @@ SETS = ("sweep", "train", "test")
 
 
 def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: float = 0.0) -> tuple[Excitation, ...]:
-    """The excitations of the paper's protocol.
+    """Return the excitations of the paper's protocol.
 
     Args:
         actuator: `cone` or `roll`.

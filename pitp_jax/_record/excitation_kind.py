@@ -1,8 +1,9 @@
-"""What kind of drive a record has, and which records to take where all would be too many.
+"""Classify the input of a record, and select records when all would be too many.
 
     j-th of m records of a kind:  rank of the loudest line near (j + 1/2) / m,  rank of the strength near frac(0.618 j)
 
-Ranks run through 0 ... 1; frac(0.618 j) never comes back to where it just was: neighbours in line differ in strength.
+Ranks run through 0 ... 1; successive values of frac(0.618 j) are far apart, so neighbours in frequency differ in
+strength.
 """
 
 from collections.abc import Sequence
@@ -11,13 +12,13 @@ import numpy as np
 
 from .record import Record
 
-_PARTS = 1000  # of a record, over which a step stands still
-_STILL = 0.4  # of the time between two turning points: the drive steps
-_LEVEL = 0.07  # of a move: so near to its ends, where a sine spends a third of its time
-_TURN = 0.05  # of the drive's range, by which it turns back; noise does not
-_SEGMENTS = 16  # turning points at least of a sweep, and half of the stretches that are compared
-_SWEPT = 1.4  # times: an octave without its ends
-_DEVIATIONS = 3.7  # of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
+_PARTS = 1000  # of a record, over which a step must be constant
+_STILL = 0.4  # of the time between two turning points: the input steps
+_LEVEL = 0.07  # of a move: distance to its ends within which a sine spends a third of its time
+_TURN = 0.05  # of the input's range, more than noise, by which it turns back
+_SEGMENTS = 16  # turning points at least of a sweep, and half the number of segments compared
+_SWEPT = 1.4  # ratio: an octave without its ends
+_DEVIATIONS = 3.7  # standard deviations of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
 _GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -33,7 +34,7 @@ def is_sweep(record: Record) -> bool:
 def _is_swept(turns: np.ndarray) -> bool:
     if len(turns) <= _SEGMENTS:
         return False
-    # ends of at most 32 stretches with equally many turning points each
+    # ends of at most 32 segments with equally many turning points each
     ends = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 2 * _SEGMENTS + 1)).astype(int))]
     spans = np.log(np.diff(ends) / np.diff(np.searchsorted(turns, ends)))
     low, high = np.quantile(spans, (0.05, 0.95))
@@ -45,7 +46,7 @@ def _is_swept(turns: np.ndarray) -> bool:
 
 
 def _turns(u: np.ndarray) -> np.ndarray:
-    """Return the samples at which a drive turns back by at least a twentieth of its range.
+    """Return the samples at which an input turns back by at least a twentieth of its range.
 
     The smallest moves between neighbouring extremes are dropped, a pair of extremes at a time, until none is left.
     """
@@ -60,13 +61,13 @@ def _turns(u: np.ndarray) -> np.ndarray:
         if not len(small):
             break
         gone = np.concatenate([small, small + 1])
-        # the first and the last sample stay: the extreme beside them goes with them
+        # the first and the last sample stay, and the extreme beside them is removed
         turns = np.delete(turns, gone[(gone > 0) & (gone < len(turns) - 1)])
     return turns[1:-1]
 
 
 def kind(record: Record) -> str:
-    """Return "sweep", "sine" (one line holds the drive), "steps" (it stands still between its moves) or "broadband".
+    """Return "sweep", "sine" (one line dominates), "steps" (constant between its moves) or "broadband".
 
     Rests before, after and between are not counted.
     """
@@ -84,15 +85,15 @@ def kind(record: Record) -> str:
 
 
 def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
-    """Return whether a drive stands still, or at one of two levels, for most of the time between two turning points."""
-    apart = max(len(u) // _PARTS, 1)  # by the sample a slow sine stands still too
+    """Return whether an input is constant, or at one of two levels, for most of the time between turning points."""
+    apart = max(len(u) // _PARTS, 1)  # from one sample to the next, a slow sine is constant too
     still = np.append(np.abs(u[apart:] - u[:-apart]) < 1e-3 * np.ptp(u), np.zeros(apart, bool))
     ends = turns if len(turns) > 2 else np.array([0, *turns, len(u) - 1])
     sizes = np.diff(ends)
     first, second = (np.repeat(u[e], sizes) for e in (ends[:-1], ends[1:]))
     inside = u[ends[0] : ends[-1]]
     level = np.minimum(np.abs(inside - first), np.abs(inside - second)) < _LEVEL * np.abs(second - first)
-    # half of the stretches are away from any rest
+    # half of the segments lie outside any rest
     held = [
         np.median(np.add.reduceat(seen, ends[:-1] - ends[0]) / sizes) for seen in (still[ends[0] : ends[-1]], level)
     ]
@@ -100,12 +101,12 @@ def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
 
 
 def loudest(record: Record) -> float:
-    """Strongest line of the drive in Hz."""
+    """Return the frequency of the strongest line of the input, Hz."""
     return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
 
 
 def spectrum(record: Record) -> np.ndarray:
-    """Size of the windowed drive's Fourier lines, without its mean, shape (samples // 2 + 1,)."""
+    """Return the magnitudes of the windowed input's Fourier lines, without its mean, shape (samples // 2 + 1,)."""
     return _lines(record.voltage)
 
 
@@ -114,15 +115,15 @@ def _lines(u: np.ndarray) -> np.ndarray:
 
 
 def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
-    """Places of `count` records (or all), in the order given: every kind by its share, its first before any second."""
+    """Return the indices of `count` records (or all), each kind by its fraction and at least once."""
     if count >= len(records):
         return list(range(len(records)))
     line, strength = _ranks([loudest(r) for r in records]), _ranks([np.sqrt(np.mean(r.voltage**2)) for r in records])
     kinds = np.array([kind(r) for r in records])
     names, sizes = np.unique(kinds, return_counts=True)
-    names = names[np.argsort(sizes)][:count]  # where there are more kinds than places, the rarest
+    names = names[np.argsort(sizes)][:count]  # if there are more kinds than places, the rarest
     chosen, free = [], count
-    for k, name in enumerate(names):  # the commonest kind comes last and takes what remains
+    for k, name in enumerate(names):  # the most common kind comes last and takes the remaining places
         places, later = np.flatnonzero(kinds == name), len(names) - 1 - k
         fair = round(count * len(places) / len(records)) if later else free
         many = min(max(fair, 1), free - later, len(places))
@@ -131,7 +132,7 @@ def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
 
 
 def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int) -> list[int]:
-    """Of these places `count`, evenly along the rank of the line, each with another strength than its neighbours."""
+    """Return `count` of these places, evenly distributed in frequency rank and mixed in strength."""
     unused = list(places)
     for j in range(count):
         wanted = (j + 0.5) / count, (j * _GOLDEN) % 1.0
@@ -141,7 +142,7 @@ def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int
 
 
 def _ranks(values: Sequence[float]) -> np.ndarray:
-    """Middles of as many equal shares of 0 ... 1 as there are values, equal ones (to 1 %) alike."""
+    """Return ranks in 0 ... 1, the middles of equal intervals; values equal to 1 % share a rank."""
     order, rank = np.argsort(values), np.zeros(len(values))
     for before, here in zip(order[:-1], order[1:], strict=True):
         rank[here] = rank[before] + (values[here] > values[before] + 0.01 * abs(values[before]))

@@ -1,14 +1,14 @@
-"""Samples onto a uniform grid: jitter, lost samples, stamps of arrival, and clocks that are uneven.
+"""Put samples on a uniform grid despite jitter, lost samples, arrival time stamps, or an uneven clock.
 
 t_i = a + b k_i + e_i,    |e_i| <= b / 2,    k_i = 0, 1, 2, ... less the lost samples
 
-a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost
-sample is missing. Stamps of arrival come in packets: e_i is bounded by a packet. A clock without such a line is uneven:
-its rows are resampled on the median step b,
+a, b by least squares. The input is interpolated linearly and the output by monotone cubics; the output of a lost sample
+is missing. Arrival time stamps come in packets: e_i is bounded by a packet. A clock without such a line is uneven: its
+rows are resampled on the median step b,
 
 u_k = 1/b int_{t_k}^{t_k + b} u(s) ds of the held command,    y_k = monotone cubic through the outputs at t_k
 
-A gap longer than a tenth of a period of the fastest drive (99 % of its energy lies below) splits the record.
+A gap longer than a tenth of a period of the fastest input (99 % of its energy lies below) splits the record.
 """
 
 from collections.abc import Callable
@@ -23,20 +23,20 @@ from .checks import MIN_SAMPLES, TIME_TOLERANCE, line
 from .preprocess import force_band
 from .stamps import EVEN, FEW, Rows, average_stamps, evenness
 
-_HALF, _ROUNDING = 0.55, 1e-6  # of a sample: a half, and what the line may be off that was fitted to such times
-_ROUNDED = 0.02  # of the rows: more of them lost, evenly spread, are no losses but a clock with few digits
-_GAP = 0.1  # of a period of the fastest drive
-_CROWDED = 0.4  # of the steps: so many that are shorter than a third of the mean step are stamps of packets
+_HALF, _ROUNDING = 0.55, 1e-6  # of a sample: the limit, and the error of a line fitted to times that reach it
+_ROUNDED = 0.02  # of the rows: more losses, evenly spread, mean a clock with few digits instead
+_GAP = 0.1  # of a period of the fastest input
+_CROWDED = 0.4  # fraction of steps shorter than a third of the mean step from which stamps are those of packets
 _SOME = 8  # packets, at least
 _STATED = 0.03  # relative difference of a stated rate and the mean rate of packets
-_CONTRADICTED = np.log(10)  # even rows predict the signals so much better than the stamps do: the stamps are wrong
+_CONTRADICTED = np.log(10)  # even rows predict the signals so much better than the stamps that the stamps are wrong
 _DECIDED = 2.0  # times 1 / sqrt(rows): seven standard deviations of the evenness of noise
-_LATE = 0.01  # of the rows: stamps that are late by more do not determine the rate
+_LATE = 0.01  # of the rows: stamps that are later than this do not determine the rate
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One uniform stretch of a record.
+    """One uniform part of a record.
 
     Attributes:
         time, voltage, displacement: shapes (T,).
@@ -54,14 +54,14 @@ class Gridded:
     """A record on its grid.
 
     Attributes:
-        pieces: in order, one where no gap is too long.
+        pieces: in order; one piece if no gap is too long.
         jitter: largest distance of a time from the grid, in samples; 0 after resampling.
-        rows: what was read.
+        rows: the rows as read.
         dropped: samples of pieces too short to use, or without any output.
-        packets: whether the stamps are those of arrival.
+        packets: whether the stamps are arrival times.
         steps: shortest and longest step in s of a clock that was resampled, or None.
         uneven: whether that clock was uneven.
-        bridged: output samples masked since they would be interpolated across more than a few rows.
+        bridged: output samples masked because they would be interpolated across more than a few rows.
     """
 
     pieces: tuple[Piece, ...]
@@ -76,7 +76,7 @@ class Gridded:
 
 @dataclass(frozen=True)
 class _Line:
-    """Places of the rows on a grid, its start and step, and the distance of every time from it, in samples."""
+    """Places of the rows on a grid, its start and step (s), and the distance of every time from it, in samples."""
 
     index: np.ndarray
     start: float
@@ -96,7 +96,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
-        rate: samples per second of the grid, where the user states it.
+        rate: samples per second of the grid, if the user states it.
 
     Raises:
         BadInput: time repeats or contradicts the signals, or too few rows remain.
@@ -128,7 +128,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
 
 
 def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str]) -> Rows:
-    """Return the rows with stamps that increase; few equal ones are averaged.
+    """Return the rows with increasing stamps; a few equal ones are averaged.
 
     Raises:
         BadInput: most stamps repeat, or the signals contradict them.
@@ -150,7 +150,7 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
 def _grid(rows: Rows) -> _Line | None:
     """Return the places on the grid of an even clock, or None.
 
-    Lost samples must explain the times better than none lost do, or one time that is wrong would shift all after it.
+    Lost samples must explain the times better than no losses, because one wrong time would shift all later ones.
     """
     time = rows.time
     steps = np.diff(time)
@@ -161,16 +161,16 @@ def _grid(rows: Rows) -> _Line | None:
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
     lost = len(steps) < moves.sum() < 2**53
     trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if lost else [index]
-    # One row lost in the middle of a long record stays within half a sample of a straight line: both are tried
+    # One row lost in the middle of a long record stays within half a sample of a straight line, so both are tried.
     lines = [_fitted(trial, time) for trial in trials]
     fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]
-    if not fits or np.mean(fits[0].off ** 2) > np.mean(lines[0].off ** 2):  # one time that is wrong shifted the rest
+    if not fits or np.mean(fits[0].off ** 2) > np.mean(lines[0].off ** 2):  # one wrong time shifted the rest
         return None
-    # of two grids that fit, the one with the smaller rest
+    # of two grids that fit, the one with the smaller residual
     best = min(fits, key=lambda line: float(np.mean(line.off**2)))
     many = best.index[-1] - index[-1] > _ROUNDED * len(time)
     near = lines[0].off.max() * lines[0].dt <= (_HALF + 0.1) * usual
-    # a clock in whole ms at 700 Hz, or lost rows: the signals decide, which noise alone does not do by so much
+    # A clock in whole ms at 700 Hz, or lost rows: the signals decide; noise alone does not differ by so much.
     return lines[0] if many and near and evenness(rows) > -_DECIDED / np.sqrt(len(time)) else best
 
 
@@ -184,19 +184,19 @@ def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
 def _packets(rows: Rows) -> _Line | None:
     """Return the places of rows that were sampled evenly and stamped when their packet came, or None.
 
-    The signals decide between even rows and true stamps; where they do not, crowded stamps are those of packets.
+    The signals decide between even rows and true stamps. If they cannot, crowded stamps count as packets.
     """
     time = rows.time
     steps, mean = np.diff(time), np.ptp(time) / (len(time) - 1)
     if not mean > 0:
         return None
     long = steps[steps >= mean]
-    # pauses of a recording are few and differ in length
+    # pauses in a recording are few and differ in length
     regular = len(long) >= _SOME and np.quantile(long, 0.9) < 3 * np.quantile(long, 0.1)
     crowded = regular and (steps < mean / 3).mean() >= _CROWDED
     if evenness(rows) < (-EVEN if crowded else EVEN):
         return None
-    # a packet that did not come leaves a gap of two periods
+    # a lost packet leaves a gap of two periods
     period, ends = float(np.median(long)), np.flatnonzero(steps >= mean)
     size = float(np.median(np.diff(ends))) if len(ends) > 1 else 1.0
     lost = size * np.where(steps > 1.5 * period, np.round(steps / period - 1), 0.0)
@@ -205,12 +205,12 @@ def _packets(rows: Rows) -> _Line | None:
 
 
 def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
-    """Return the rows on the grid that was found."""
+    """Return the rows placed on this grid."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
     lost, jitter = np.diff(index) - 1, float(found.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
         return Gridded((Piece(time, voltage, displacement),), jitter, rows)
-    # what the drive did in a longer gap cannot be interpolated
+    # the input in a longer gap cannot be interpolated
     cuts = np.flatnonzero(lost > _longest_gap(voltage, index, found.dt)) + 1
     parts, dropped = _parts(rows, cuts, source, column)
     pieces = [_piece(time[p], voltage[p], displacement[p], index[p], found, jitter) for p in parts]
@@ -218,7 +218,7 @@ def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
 
 
 def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0.0) -> tuple[list[slice], int]:
-    """Return the stretches between cuts that can be used, and how many rows are in no such stretch.
+    """Return the usable stretches between cuts, and the number of rows outside them.
 
     Args:
         rows: of the record.
@@ -227,7 +227,7 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
         dt: step of the grid in s: a stretch needs 64 rows and 64 such steps.
 
     Raises:
-        BadInput: less than half of the rows are in one.
+        BadInput: the stretches contain less than half of the rows.
     """
     count, kept = len(rows.time), []
     least = min(MIN_SAMPLES, count)  # a voltage to be played may have fewer rows
@@ -245,11 +245,11 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
 
 
 def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
-    """Return how many samples may be lost in a row: a tenth of a period of the fastest drive.
+    """Return how many samples may be lost in a row: a tenth of a period of the fastest input.
 
-    A drive with few lost samples is taken whole, since short stretches of a slow drive would look fast.
+    An input with few lost samples is analysed as a whole, because short parts of a slow input would look fast.
     """
-    # fewer lost than seen
+    # fewer lost than measured
     if index[-1] < 2 * len(voltage):
         stretches = [np.interp(np.arange(index[-1] + 1), index, voltage)]
     else:
@@ -268,13 +268,13 @@ def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
     # lost samples stay missing
     output[where] = displacement
     lost = len(grid) - len(time)
-    # equal times are rounded, and times of arrival are late: neither was measured
+    # Equal times are rounded, and times of arrival are late, so neither was measured.
     if jitter <= TIME_TOLERANCE + _ROUNDING or jitter > _HALF + _ROUNDING or (np.diff(time) <= 0).any():
         drive = np.interp(grid, start + dt * index, voltage)
     else:
-        # the grid may begin half a sample before the first time: nothing is extrapolated
+        # the grid may start half a sample before the first time: nothing is extrapolated
         at = np.clip(grid, time[0], time[-1])
-        # monotone cubics overshoot no step, as splines would
+        # monotone cubics do not overshoot a step, as splines would
         seen = np.isfinite(displacement)
         drive = np.interp(at, time, voltage)
         if seen.sum() > 1:
@@ -285,14 +285,14 @@ def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
 
 
 def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Gridded:
-    """Return the rows resampled on the median step, or at the rate, split where the drive is not known in a gap."""
+    """Return the rows resampled at the median step or at the rate, split at gaps in which the input is unknown."""
     time, voltage = rows.time, rows.voltage
     steps = np.diff(time)
     usual = float(np.median(steps))
     dt = 1 / rate if rate is not None else usual
     index = np.round((time - time[0]) / usual).astype(np.int64)
     longest = max(FEW, _longest_gap(voltage, index, usual)) * usual
-    # a command that stands still before and after a gap was held in it
+    # an input that is constant before and after a gap was held during it
     still = np.append(True, np.diff(voltage) == 0)
     held = still[:-1] & still[1:] & np.append(still[2:], True)
     parts, dropped = _parts(rows, np.flatnonzero((steps > longest) & ~held) + 1, source, column, dt)
@@ -307,7 +307,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
 
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
-    """Return one stretch at steps of dt, and how many output samples are masked within gaps of the output."""
+    """Return one stretch interpolated at steps of dt, and the number of output samples masked in gaps."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)
@@ -317,7 +317,7 @@ def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tup
     curve = scipy.interpolate.PchipInterpolator(t, y)
     at = np.clip(grid, t[0], t[-1])
     output = curve(at)
-    if dt > 1.5 * np.median(np.diff(t)):  # several rows a step: their mean, since noise and fast motion would alias
+    if dt > 1.5 * np.median(np.diff(t)):  # several rows a step: their mean, to avoid aliasing
         low, high = np.clip(grid - dt / 2, t[0], t[-1]), np.clip(grid + dt / 2, t[0], t[-1])
         whole = curve.antiderivative()
         output = np.where(high > low, (whole(high) - whole(low)) / np.maximum(high - low, 1e-300), output)

@@ -1,11 +1,11 @@
-"""How records begin: sensor noise, the first state, and the zero of records at rest.
+"""Initial state of records: sensor noise, first displacement and velocity, offset of records at rest.
 
     sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
     y(t) ~ a polynomial over the first samples: y(0) and y'(0) within noise
-    measured = direction * displacement + zero         (a zero and a direction belong to a record, not to the actuator)
+    measured = direction * displacement + offset       (both belong to a record, not to the actuator)
 
-Whether a still record is at rest, settled at a held drive or turning for a moment only the motion that follows can
-tell: `_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
+A still record is at rest, settled at a held input, or at a turning point. Only the motion that follows can show which:
+`_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
 """
 
 from collections.abc import Sequence
@@ -21,25 +21,25 @@ from .record import Record
 
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
-_STILL, _SMALL = 10.0, 0.2
-_SLOW = 0.01  # of omega times the range: a velocity below it moves the mode by a hundredth of the range
-_FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the drive's range; of a noisy drive's and of the output's; samples
-_FEWEST, _WITHIN = 8, 48  # observed samples that a first state asks for; samples within which they must lie
+_STILL, _SMALL, _FAINT = 10.0, 0.2, 0.02
+_SLOW = 0.01  # of omega times the range: a smaller velocity moves the mode by at most a hundredth of the range
+_FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the input's range; of a noisy input's and the output's range; samples
+_FEWEST, _WITHIN = 8, 48  # observed samples needed for a first state; samples within which they must lie
 _K = np.arange(7.0)
 _AT_START = np.stack([(-1) ** _K, -((-1) ** _K) * _K * (_K + 1) / 2])  # P_k(-1) and P_k'(-1)
 
 
 @dataclass(frozen=True)
 class Beginning:
-    """How one record begins: measured = direction * displacement + zero.
+    """Initial state of one record and its sensor: measured = direction * displacement + zero.
 
     Attributes:
         begins: "rest" (x = 0, uncharged), "held" (settled at u(0)) or "moving".
         direction: +1 or -1.
-        zero: the sensor's, output unit.
-        stderr: of the zero.
-        group: records of a set with the same number share one zero.
-        free: whether the zero is fitted with the rest (`zero` is then where the fit starts).
+        zero: sensor offset, output unit.
+        stderr: of the offset.
+        group: records of a set with the same number share one offset.
+        free: whether the offset is fitted as well (`zero` is then its initial value).
     """
 
     begins: Begins
@@ -51,9 +51,10 @@ class Beginning:
 
 
 def noise_std(displacement: np.ndarray) -> float:
-    """Standard deviation of white sensor noise by the 5th difference (docs/decisions/noise_floor.md), output unit.
+    """Return the standard deviation of white sensor noise from the 5th difference, output unit.
 
-    An upper bound where the signal is not oversampled (then the 5th difference sees the motion too).
+    It is an upper bound if the signal is not oversampled, because the 5th difference then contains motion too
+    (docs/decisions/noise_floor.md).
     """
     # (1, 5, 10, 10, 5, 1): squares sum to 252
     fifth = np.diff(displacement, 5)
@@ -61,30 +62,32 @@ def noise_std(displacement: np.ndarray) -> float:
     if len(fifth) == 0:
         return 0.0
     noise = float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
-    # a sensor that mostly repeats its value: that of its steps
+    # a sensor that mostly repeats its value: rounding to its steps
     return _rounding(displacement) if noise == 0.0 and fifth.any() else noise
 
 
 def _rounding(displacement: np.ndarray) -> float:
-    """Return the standard deviation of rounding to a sensor's smallest step, output unit; 0 where it never steps."""
+    """Return the standard deviation of rounding to a sensor's smallest step, output unit; 0 if it never steps."""
     steps = np.abs(np.diff(displacement))
     return float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0) if (steps > 0).any() else 0.0
 
 
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
-    """The records that move beyond their noise, and a line that names the others.
+    """Return the records that move beyond their noise, and a line with the names of the others.
 
-    Errors are counted in ranges, and that of an actuator at rest is its noise: in a diagnosis one such record had a
-    floor of 14 % and hid a gap of 3 % in three sines beside it.
+    Errors are relative to the range, which is only noise for an actuator at rest. In a diagnosis one such record had an
+    error floor of 14 % and hid a gap of 3 % in three other sines.
 
     Raises:
         BadInput: none moves.
     """
     ranges = [r.span for r in records]
-    # Under a constant drive only a motion as large as the others' counts: coloured noise has any range
+    # Under a constant input, which may carry a monitor's noise, only a motion as large as the others' counts, because
+    # coloured noise has any range.
+    drives = [float(np.std(r.voltage)) for r in records]
     moves = [
-        w > 0 and (w > _SMALL * max(ranges) or (np.ptp(r.voltage) > 0 and w > _STILL * noise_std(r.displacement)))
-        for r, w in zip(records, ranges, strict=True)
+        w > 0 and (w > _SMALL * max(ranges) or (d > _FAINT * max(drives) and w > _STILL * noise_std(r.displacement)))
+        for r, w, d in zip(records, ranges, drives, strict=True)
     ]
     if not any(moves):
         raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
@@ -94,16 +97,16 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Least squares over the first 8, 11, 16, 23, ... samples: (y(0), y'(0)) and their standard errors.
+    """Fit y(0) and y'(0) by least squares over the first 8, 11, 16, 23, ... samples, with standard errors.
 
         y(s) ~ c_0 P_0(s) + ... + c_6 P_6(s),   s = -1 ... 1 over the window, P_k Legendre's polynomials
         y(-1) = sum_k<5 (-1)^k c_k,   y'(-1) = sum_k<5 (-1)^(k-1) k (k + 1) / 2 c_k;   the parts of c_5, c_6: their bias
 
-    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 10 kHz needs 200 to beat the noise, so every
-    window over which the fit leaves no more than the noise (or 0.1 % of range) gives its own estimate.
+    A roll sampled at 5 kHz advances by 2 rad in 12 samples; a cone at 10 kHz needs 200 samples to exceed the noise. So
+    every window with a residual within the noise (or 0.1 % of range) gives its own estimate.
 
     Returns:
-        values, standard errors: shape (windows, 2), at least one row; nan and inf where no window has the samples.
+        values, standard errors: shape (windows, 2), at least one row; nan and inf if no window has enough samples.
     """
     span = record.span
     noise = min(noise_std(record.displacement), 0.01 * span)
@@ -115,7 +118,7 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
         keep = np.isfinite(y)
         if keep.sum() < _FEWEST:
             continue
-        # orthogonal over the window, so the higher terms stand for what the lower ones miss
+        # orthogonal over the window, so that the higher terms estimate the error of the lower ones
         basis = legvander(2 * np.arange(window)[keep] / window - 1, 6)
         fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
         free = max(keep.sum() - 7, 1)
@@ -125,7 +128,7 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
         unit = np.array([1.0, 2.0 / (window * record.dt)])
         covariance = np.linalg.pinv(basis[:, :5].T @ basis[:, :5])
         white = max(noise, misfit) * np.sqrt(np.diag(_AT_START[:, :5] @ covariance @ _AT_START[:, :5].T))
-        # what hides in the noise beyond the fourth power bends the first velocity far more than the noise does
+        # Terms above the fourth power, hidden in the noise, bias the first velocity more than the noise does.
         bent = np.linalg.norm(_AT_START[:, 5:] * fit[5:], axis=1)
         values.append(_AT_START[:, :5] @ fit[:5] * unit)
         errors.append(np.hypot(white, bent / 2) * unit)
@@ -133,10 +136,10 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_still(record: Record, omega: float) -> bool:
-    """True when the first sample is known and has no velocity: within 4 standard errors and 0.01 omega times the range.
+    """Return whether the first sample is known and its velocity zero, within 4 standard errors and 0.01 omega * range.
 
-    v / omega is what the velocity still moves a mode of that frequency: of a motion that is cut somewhere, one in 80 is
-    as slow, at any sampling rate.
+    v / omega is the displacement that the velocity still causes in a mode of that frequency. One in 80 randomly cut
+    motions is as slow, at any sampling rate.
 
     Args:
         record: in base units.
@@ -147,11 +150,11 @@ def is_still(record: Record, omega: float) -> bool:
 
 
 def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
-    """True when the first velocity is none, as in `is_still`, and the first displacement is `offset`.
+    """Return whether the first velocity is zero, as in `is_still`, and the first displacement equals `offset`.
 
     Args:
         record: in base units.
-        offset: the sensor's zero, output unit.
+        offset: sensor offset, output unit.
         omega: of the dominant mode, rad/s.
     """
     (y, v), (y_error, v_error), span = _sharpest(record)
@@ -160,16 +163,16 @@ def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
 
 
 def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
-    """(y(0), y'(0)) by the window that knows the velocity best, their errors, and the range of the output."""
+    """Return (y(0), y'(0)) from the window with the smallest velocity error, their errors, and the output's range."""
     values, errors = first_states(record)
     best = int(np.argmin(errors[:, 1]))
     return values[best], errors[best], record.span
 
 
 def standing_drive(record: Record) -> tuple[int, float]:
-    """Number of first samples in which the drive stands, and its level there (V); exactly 0 where that is its noise.
+    """Return how many first samples have a constant input, and its level (V); exactly 0 if within its noise.
 
-    It stands within 0.1 % of its range, or within six of its noise floors (of a monitor), 2 % at most.
+    It is constant within 0.1 % of its range, or within six noise deviations (of a monitor), at most 2 %.
     """
     noise, span = noise_std(record.voltage), float(np.ptp(record.voltage))
     moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
@@ -181,11 +184,11 @@ def standing_drive(record: Record) -> tuple[int, float]:
 
 
 def settled_samples(record: Record, omega: float) -> int:
-    """Number of first samples in which a flat reading stands under a flat drive; 0 where the record shows no such rest.
+    """Return how many first samples are at rest: a constant reading under a constant input; 0 if none.
 
-    By the data alone, whatever a model says: for half a period at least, the means over quarters of a period differ by
-    no more than noise, 2 % of the range, and a third of what a jump from 0 V to this drive would move (rest under a
-    jump rings). Then the record begins at rest at 0 V, or settled where it is held.
+    This uses the data alone. For at least half a period, the means over quarters of a period differ by no more than
+    noise, 2 % of the range, and a third of the response to a jump from 0 V to this input (rest under a jump rings).
+    Then the record starts at rest at 0 V, or settled at a held input.
 
     Args:
         record: in base units.
@@ -199,22 +202,22 @@ def settled_samples(record: Record, omega: float) -> int:
     means = np.array([np.mean(b[np.isfinite(b)]) for b in blocks if np.isfinite(b).any()])
     noise = noise_std(record.displacement) / np.sqrt(count / len(blocks))
     span = record.span
-    # squared, as the force is; beside a linear drive the bound is the tighter one
+    # squared, as the force is; for a linear input this bound is smaller
     jump = (level / np.abs(record.voltage).max()) ** 2 if level else np.inf
     return count if np.ptp(means) <= 5 * noise + min(_LEVEL, jump / 3) * span else 0
 
 
 def first_known(record: Record) -> int:
-    """First sample from which a state can be estimated: 0, unless the record begins with a gap longer than that."""
+    """Return the first sample from which a state can be estimated: 0 unless the record starts with a long gap."""
     seen = np.concatenate([[0], np.cumsum(record.observed)])
     ahead = seen[np.minimum(np.arange(record.samples) + _WITHIN, record.samples)] - seen[:-1]
-    # enough samples seen within the next ones to fit a state
+    # enough samples observed within the next ones to fit a state
     enough = ahead >= _FEWEST
     return 0 if enough[0] else int(np.argmax(enough & record.observed))
 
 
 def from_known(record: Record) -> Record:
-    """The record from its first known state on."""
+    """Return the record from its first known state on."""
     first = min(first_known(record), record.samples - MIN_SAMPLES)
     if first <= 0:
         return record
@@ -223,7 +226,7 @@ def from_known(record: Record) -> Record:
 
 
 def aligned(record: Record, beginning: Beginning, output) -> Record:
-    """The record as the model's own sensor would have read it: its zero and direction taken out.
+    """Return the record as the model's own sensor would have measured it, without its offset and direction.
 
     `output`: the model's, with `offset` and `polarity`.
     """
@@ -233,11 +236,11 @@ def aligned(record: Record, beginning: Beginning, output) -> Record:
 
 
 def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, float]]:
-    """Records at rest grouped by the zero they share, most first: their places, the zero and its standard error.
+    """Group records at rest by their common offset, most common first: indices, offset and its standard error.
 
-    A level comes from the longest beginning whose misfit hides in the noise (`rest_level`). What hides can still bend
-    the level by about a standard error (measured: rms 1 to 2, as the window happens to stop), so errors are widened by
-    half; levels within 4 of them and 0.2 % of the range are one zero.
+    A level comes from the longest initial window whose misfit is within the noise (`rest_level`). This misfit can still
+    shift the level by about a standard error (measured: rms 1 to 2), so errors are increased by half. Levels within 4
+    of them and 0.2 % of the range are one offset.
     """
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
     spans = np.array([r.span for r in records])
@@ -248,7 +251,7 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
         near = [
             [m for m in open_ if abs(levels[m, 0] - levels[k, 0]) <= max(tolerance[k], tolerance[m])] for k in open_
         ]
-        # the zero that most share first, then the next among the others
+        # the most common offset first, then the next among the others
         members = max(near, key=len)
         value, weights = levels[members, 0], 1 / (levels[members, 1] ** 2 + 1e-30)
         zero = float(np.average(value, weights=weights))
@@ -259,15 +262,15 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
 
 
 def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, float]:
-    """First value of a record known to start at rest, and its standard error.
+    """Return the first value of a record that starts at rest, and its standard error.
 
-    Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window, from 12 samples doubled as often as the
-    fit leaves no more than the noise: a sweep's slow beginning gives thousands of samples.
+    Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window: 12 samples, doubled while the residual
+    is within the noise. A sweep's slow beginning gives thousands of samples.
 
     Args:
         record: in base units.
-        left: what a model leaves of it, shape (T,), 0 where missing. A level over few samples goes along with slow
-            noise, which they do not show: the error is at least what the same window makes of `left`, rms over places.
+        left: residual of a model, shape (T,), 0 where missing. Few samples do not show slow noise in their level, so
+            the error is at least the rms level of such windows over `left`.
     """
     noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
     rounding = _rounding(record.displacement)
@@ -276,7 +279,7 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
         t, y = np.arange(window) / window, record.displacement[:window]
         keep = np.isfinite(y)
         if keep.sum() >= 8:
-            # no linear term: at rest the velocity is zero
+            # no linear term, because the velocity is zero at rest
             basis = np.stack([t**0, t**2, t**3, t**4], -1)[keep]
             fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
             misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / (keep.sum() - 4))
@@ -284,7 +287,7 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
                 break
             inverse = np.linalg.inv(basis.T @ basis)
             error = max(misfit, noise) * np.sqrt(inverse[0, 0])
-            if misfit < rounding:  # the rounding of readings that stand still has no mean of 0
+            if misfit < rounding:  # the rounding of constant readings does not average to 0
                 error = max(error, rounding)
             if error < best[1]:
                 best, weights = (float(fit[0]), float(error)), inverse[0] @ basis.T

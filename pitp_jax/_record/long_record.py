@@ -1,9 +1,9 @@
-"""The longest record a nominal was identified on, thinned and kept: what a sweep tells of minutes of creep.
+"""The longest record used for identification, thinned and stored, because only a long sweep shows slow creep.
 
     x_k = (h * x)(k q dt),    q = floor(1 / (4 f_max dt))        h: zero-phase low-pass, f_max: of the force, 99 %
 
-Read back, it is band-limited between the samples kept: linear between them, the mean force behind an electrode's lag
-would be off by 2 % at 15 Hz.
+It is read as band-limited between its samples. Linear interpolation would change the mean force behind an electrode's
+lag by 2 % at 15 Hz.
 """
 
 from dataclasses import dataclass, replace
@@ -16,17 +16,17 @@ from .record import Record
 
 _PER_PERIOD = 4.0  # samples kept of a period of f_max
 _MOST = 150_000  # samples kept in all
-_LEAST = 600  # samples kept where the record has them: 100 windows of six in `_train/creep_balance`
-_READ = 1_000_000  # samples of the record that count: every fitting step follows its memories along them
+_LEAST = 600  # samples kept if the record has them: 100 windows of six in `_train/creep_balance`
+_READ = 1_000_000  # samples of the record that count, because every fitting step integrates its memories along them
 
 
 @dataclass(frozen=True, eq=False)
 class LongRecord:
-    """A thinned record in base units, as the rig has them.
+    """A thinned record in base units, with the sensor's offset and direction unchanged.
 
     Attributes:
-        dt: sampling interval of the record as it was, s.
-        step: every how many of its samples are kept.
+        dt: sampling interval of the original record, s.
+        step: every `step`-th sample is kept.
         rest: whether it starts from rest.
         voltage, displacement: float32, in V and m (or V), nan where the output is missing; shape (kept,).
     """
@@ -38,26 +38,26 @@ class LongRecord:
     displacement: np.ndarray
 
     def __post_init__(self):
-        """Two series of one length."""
+        """Refuse series of different length."""
         if self.voltage.shape != self.displacement.shape or self.voltage.ndim != 1 or self.step < 1:
             raise ValueError(f"a long record of shapes {self.voltage.shape} and {self.displacement.shape}")
 
     @property
     def seconds(self) -> float:
-        """How long it lasts."""
+        """Return the duration, s."""
         return len(self.voltage) * self.step * self.dt
 
     @property
     def range(self) -> float:
-        """Largest less smallest displacement, m (or V)."""
+        """Return largest minus smallest displacement, m (or V)."""
         return float(np.nanmax(self.displacement) - np.nanmin(self.displacement))
 
     def record(self) -> Record:
-        """At its own rate again."""
+        """Return the record at its original rate."""
         voltage, kept = self.voltage.astype(float), self.displacement.astype(float)
         seen, place = np.isfinite(kept), np.arange(len(kept))
         displacement = self._between(np.interp(place, place[seen], kept[seen]))
-        # what was filled in to resample is missing again
+        # values filled in for resampling become missing again
         displacement[np.repeat(~seen, self.step)] = np.nan
         return Record("long record", self.dt * np.arange(len(displacement)), self._between(voltage), displacement)
 
@@ -66,9 +66,9 @@ class LongRecord:
 
 
 def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
-    """Keep a record, or its beginning; None where nothing happens in it.
+    """Return a record (or its first part) thinned; None if nothing happens in it.
 
-    `force`: the equation's drive (V^2 or V), shape (T,).
+    `force`: input of the equation (V^2 or V), shape (T,).
     """
     if record.samples > _READ:
         time, voltage, displacement = (a[:_READ] for a in (record.time, record.voltage, record.displacement))
@@ -85,12 +85,12 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     # the low-pass needs every sample
     filled = np.interp(record.time, record.time[known], record.displacement[known])
     seen = np.ones(-(-record.samples // step), bool)
-    # a kept sample is missing where any that it stands for is
+    # a kept sample is missing if any sample of its block is
     seen[np.flatnonzero(~known) // step] = False
     displacement = np.where(seen, _thin(filled, step), np.nan)
     return LongRecord(record.dt, step, rest, _thin(record.voltage, step).astype("<f4"), displacement.astype("<f4"))
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
-    """Low-passed about the line between its ends: about zero, 50 mm of sensor offset would read 26 mm at either."""
+    """Low-pass a signal about the line between its ends, because an offset would distort both ends."""
     return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")

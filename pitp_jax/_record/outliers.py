@@ -1,12 +1,13 @@
-"""What a sensor reads when it does not see: spikes, dropouts and clipping, found and masked.
+"""Find and mask sensor faults: spikes, dropouts and clipping.
 
-spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then back
-dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value farther off than all others are
-clipping  a run of the record's extreme value while the drive moves and the sensor is noisy elsewhere
+spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
+dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value far outside all others
+clipping  a run of the record's extreme value while the input moves and the sensor is noisy elsewhere
 
 step is the median of the record's steps |y_i - y_(i-1)| that are not zero, step_local the largest of the five steps
 about the samples in question with them cut out. White noise of deviation s has |y - chord| of deviation 1.2 s and a
-step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A motion sampled well enough moves by a step.
+step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A well sampled motion changes by about one
+step per sample.
 """
 
 from collections.abc import Collection
@@ -18,14 +19,14 @@ import scipy
 from .initial_state import noise_std
 
 _FAR, _LONGEST_SPIKE = 10.0, 3
-_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the drive's range it must move by in them
-_NOISY = 0.05  # of a step is the noise at least, and of neighbouring samples are equal at most, to tell a limit
-_NOISE_OF_STEP = 0.002  # noise of a good laser beside the steps of its motion; rounding to six digits is below
+_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the input's range by which it must move in them
+_NOISY = 0.05  # noise as a fraction of a step, at least; fraction of equal neighbours, at most, to recognise a limit
+_NOISE_OF_STEP = 0.002  # noise of a good laser relative to the steps of its motion; rounding to six digits is below
 _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
-_JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the drive, and of its range: from there on it steps
-_OFTEN = 0.1  # of a record: what stands still for longer is a machine at rest, no sensor that drops out
-_FROZEN = 0.5  # of the input's range, swept while the output keeps one value: no motion slows down so far
-_FEWEST_VALUES = 32  # distinct ones, below which a record is no measured motion (two levels, a counter)
+_JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the input, and of its range: a step of the input exceeds both
+_OFTEN = 0.1  # of a record: a value held for longer is a machine at rest, not a sensor dropout
+_FROZEN = 0.5  # of the input's range, swept at one output value: no motion is so slow
+_FEWEST_VALUES = 32  # distinct ones; with fewer, a record is not a measured motion (two levels, a counter)
 
 
 @dataclass(frozen=True)
@@ -36,12 +37,12 @@ class Masked:
         displacement: nan where masked, shape (T,).
         outliers: samples masked as spikes or dropouts.
         clipped: samples masked at a limit value.
-        largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
-        limit: the value it was clipped at, or that `unseen` samples have; nan where there is none.
-        unseen: samples off scale that are kept, since they are more than half.
-        held: samples that repeat one value while the drive moves and then jump, of a sensor that repeats values
-            elsewhere, or that keep it for long: they stay, since it may be stiction.
-        turns: whole turns that were removed from the input and from the output before.
+        largest: the most distant outlier, in the output's unit; nan without one.
+        limit: the value at which it was clipped, or that of `unseen` samples; nan without one.
+        unseen: off-scale samples that are kept, because they are more than half.
+        held: samples that repeat one value while the input moves and then jump. They are kept, because they may be
+            stiction.
+        turns: whole turns removed earlier from the input and the output.
     """
 
     displacement: np.ndarray
@@ -59,7 +60,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 
     Args:
         displacement: output, shape (T,); nan where missing.
-        voltage: drive, shape (T,).
+        voltage: input, shape (T,).
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     y = displacement[seen]
@@ -67,15 +68,15 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     moving = steps[steps > 0]
     if len(moving) < _FEWEST_VALUES:
         return Masked(displacement)
-    # of the steps that are not zero: a quantised sensor mostly repeats its value
+    # only nonzero steps, because a quantised sensor mostly repeats its value
     step = float(np.median(moving))
     drive = voltage[seen]
     off_scale, jumps = _off_scale(y), _jumps(drive)
-    # an answer to a pulse looks like a spike: only where the drive did not step
+    # a response to a pulse looks like a spike, so only where the input did not step
     bad = off_scale | (_spikes(y, step) & ~jumps)
     certain, held = _stuck(y, step, drive)
     bad |= certain & ~jumps
-    # a machine that stands still by stiction does so at its turning points, too
+    # stiction holds a machine at its turning points too
     clipped = _clipped(np.where(bad, np.nan, y), drive) & (held.mean() <= _OFTEN)
     held = int((held & ~jumps & ~bad & ~clipped).sum())
     # more than half cannot be outliers
@@ -92,9 +93,9 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 
 
 def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
-    """Samples that stand at a value at which other records of the same sensor are clipped, and that value (nan: none).
+    """Return the samples at a value at which other records of the same sensor are clipped, and that value (or nan).
 
-    A sensor has one limit, so what is certain of one record holds for those whose runs alone would not tell.
+    A sensor has one limit, so a limit found in one record applies to records that cannot show it alone.
 
     Args:
         displacement: output, shape (T,); nan where missing.
@@ -113,14 +114,14 @@ def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.nd
 
 
 def _jumps(drive: np.ndarray) -> np.ndarray:
-    """Samples near which the drive steps: what the output does there is its answer, not a fault of the sensor."""
+    """Return the samples near a step of the input, where the output responds and is not faulty, shape (T,)."""
     steps = np.abs(np.diff(drive, prepend=drive[:1]))
     far = steps > max(_JUMP * float(np.median(steps)), _JUMP_OF_RANGE * float(np.ptp(drive)))
     return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
 def _spikes(y: np.ndarray, step: float) -> np.ndarray:
-    """Runs of one to three samples far from the chord between their neighbours, all on one side."""
+    """Return runs of one to three samples far from the chord between their neighbours, all on one side."""
     bad = np.zeros(len(y), dtype=bool)
     for run in range(1, _LONGEST_SPIKE + 1):
         count = len(y) - run - 5
@@ -141,9 +142,9 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
 
 
 def _off_scale(y: np.ndarray) -> np.ndarray:
-    """Samples at a value farther from all others than those are apart: what a laser reads that sees nothing."""
+    """Return samples at a value farther from all others than these are apart, as a laser reads without a target."""
     bad = np.zeros(len(y), dtype=bool)
-    # sorted: both ends are looked at in turn
+    # sorted, and both ends are examined in turn
     values = np.unique(y)
     while len(values) > _FEWEST_VALUES:
         low, high = values[1] - values[0], values[-1] - values[-2]
@@ -163,25 +164,25 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
 
 
 def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
-    """First and one past the last sample of every run of equal values."""
-    # where a run of equal values begins, and one past the last
+    """Return the first and one past the last sample of every run of equal values."""
+    # where a run of equal values starts, and one past the last
     edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
     long = np.flatnonzero(np.diff(edges) >= least)
     return [(int(edges[k]), int(edges[k + 1])) for k in long]
 
 
 def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
-    """Whether a sensor has no noise beside its steps (those that are not zero), or none that changes its last digit."""
+    """Return whether a sensor's noise is negligible beside its nonzero steps, or never changes its last digit."""
     noise = float(noise_std(y))
     return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
 
 
 def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Runs of one value while the drive moves, up to a tenth of the record: dropouts, and those that may be stiction.
+    """Return runs of one value under a moving input: dropouts, and runs that may be stiction.
 
     A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
-    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction; so
-    may all runs that together are more than a tenth of the record: a gear stands still at every reversal.
+    everywhere else, at rest too. For any other sensor a held value followed by a jump may be stiction. Runs that
+    together exceed a tenth of the record may also be stiction, because a gear stands still at every reversal.
 
     Returns:
         dropouts, possible stiction: True at their samples, shape (T,).
@@ -190,27 +191,27 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     runs = _runs(y, _LONGEST_SPIKE + 1)
     if not runs:
         return bad, kept
-    # a jump of the input at the end of a run finds a machine that has settled, and answers late
+    # when the input jumps at the end of a run, the settled machine responds late
     noise = 6 * noise_std(drive)
     runs = [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
     inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
-        # steps within the runs say nothing of the sensor elsewhere
+        # steps within the runs do not characterise the sensor elsewhere
         inside[begin : end - 1] = True
     if inside.all():
         return bad, kept
-    # a coarse sensor repeats values while it sees: its runs are no dropouts
+    # a coarse sensor repeats values while it works: its runs are not dropouts
     repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
     quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
     low, high = y.min(), y.max()
     often = sum(e - b for b, e in runs if y[b] not in (low, high)) > _OFTEN * len(y)
     for begin, end in runs:
-        # a machine that moved before stands still while its input sweeps half of its range, or the sensor is frozen
+        # a machine that moved before stands still while its input sweeps half of its range: the sensor is frozen
         frozen = begin >= 3 and y[begin] not in (low, high) and np.ptp(drive[begin:end]) > _FROZEN * swing
         kept[begin:end] = frozen and end - begin >= _SHORTEST_CLIP and (end == len(y) or end - begin > _OFTEN * len(y))
         if begin < 3 or end > len(y) - 3 or end - begin > _OFTEN * len(y) or y[begin] in (low, high):
             continue
-        # entered and left by jumps: far more than the steps beside the run
+        # entered and left by jumps: far larger than the steps beside the run
         before, after = y[begin - 3 : begin], y[end : end + 3]
         local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
         near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
@@ -225,10 +226,10 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """Runs of the extreme value while the drive moves, of a sensor whose noise would have ended them.
+    """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them.
 
     p is how often neighbours are equal away from these runs (a record at its limit for most of the time has a median
-    step of zero); a run of n has a chance of p^(n - 1), and counts where that is below 1e-6 in the record.
+    step of zero); a run of n has the probability p^(n - 1), and counts if that is below 1e-6 in the record.
     """
     bad = np.zeros(len(y), dtype=bool)
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)

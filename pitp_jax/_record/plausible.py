@@ -1,8 +1,8 @@
-"""What a careful colleague would ask about a recording: refused where it cannot be, told where it may be meant.
+"""Refuse impossible values of a recording, and ask about improbable ones.
 
 100 kV, 1 km and more                        refused: a unit is wrong
-range of x > 1 m, 90 % of x equal            told
-|u| <= 10 V on a squared input               told: a monitor's voltage, not the actuator's
+range of x > 1 m, 90 % of x equal            reported
+|u| <= 10 V on a squared input               reported: a monitor's voltage, not the actuator's
 """
 
 from collections.abc import Sequence
@@ -14,12 +14,12 @@ from .._table.units import base_unit
 from .record import Record
 
 _HIGHEST = {"V": 1e5, "m": 1e3}
-_LONG, _EQUAL = 1.0, 0.9  # m, share of the samples
+_LONG, _EQUAL = 1.0, 0.9  # m; fraction of the samples
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
 def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, source: str, columns, place) -> None:
-    """Refuse what no rig has, whatever the unit says.
+    """Refuse values that no rig has, whatever the unit.
 
     Args:
         voltage: in its base unit, shape (T,).
@@ -30,13 +30,13 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
         place: turns a sample index into words.
 
     Raises:
-        BadInput: with both columns where both are.
+        BadInput: with the columns concerned.
     """
     problems = []
     for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):
         most = _HIGHEST.get(base, np.inf)
         far = np.abs(np.nan_to_num(values)) > most
-        if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are the sensor's, and masked
+        if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are sensor faults, and masked
             at = int(np.argmax(far))
             problems.append(
                 f"column {column!r}, {place(at)}: {values[at]:.4g} {base} is more than {most:g} {base}; give the right "
@@ -47,7 +47,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
 
 
 def questions(displacement: np.ndarray, unit: str) -> list[str]:
-    """What to ask about an output that may be meant.
+    """Return questions about an output that is improbable but possible.
 
     Args:
         displacement: in m or V, shape (T,); nan where missing.
@@ -57,7 +57,7 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
     lines = []
     if unit == "m" and np.ptp(seen) > _LONG:
         lines.append(f"moves by {np.ptp(seen):.3g} m: is the output's unit right?")
-    # the median is the value of most, where there is one
+    # the median equals the most common value, if one exists
     equal = float(np.mean(seen == np.median(seen)))
     if equal > _EQUAL:
         lines.append(f"{100 * equal:.0f} % of its outputs are equal: does the sensor read?")
@@ -65,7 +65,7 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
 
 
 def monitor_warning(records: Sequence[Record]) -> str | None:
-    """Asks about drives that never leave a DAQ's range, for a model whose force is the square of the voltage."""
+    """Return a question if the input never leaves a DAQ's range while the force is the square of the voltage."""
     highest = max(float(np.abs(record.voltage).max()) for record in records)
     if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None

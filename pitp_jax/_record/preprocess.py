@@ -1,14 +1,14 @@
-"""From a record to motion states, eqs. 8 and 9 as docs/readings.md has them.
+"""Turn a record into motion states by eqs. 8 and 9, as interpreted in docs/readings.md.
 
     f_max = frequency below which 99 % of the force's energy about its mean lies (pooled over the records)
     f_c   = min(2 f_max, 0.4 f_s)
     H(z)  = Butterworth of order 4, run forward and backward: zero phase, gain |H|^2, -6 dB at f_c   (eq. 9)
     x^(0) = H x,   x^(i) = d x^(i-1),   F = H f   (eq. 8)
 
-Filter and difference commute, so x, every derivative and the force are filtered alike: an equation sum y_i
-x^(i) = F that holds before holds after. (Filtering once more after each difference, the letter of the paper,
-would filter x^(n) n + 1 times and F never.) Filters run on contiguous stretches of observed samples. Near the
-ends of a stretch the filter has not settled; those samples are marked and kept out of the loss.
+Filter and difference commute, so x, every derivative and the force are filtered alike: an equation sum y_i x^(i) = F
+that holds before holds after. (The paper's wording, filtering once more after each difference, would filter x^(n) n + 1
+times and F never.) Filters run on contiguous stretches of observed samples. Near the ends of a stretch the filter has
+not settled; those samples are marked and excluded from the loss.
 """
 
 from collections.abc import Sequence
@@ -35,7 +35,7 @@ class StateRecord:
     Attributes:
         name: of the record.
         time: sample times in s, shape (T,).
-        force: filtered drive (u^2 or u) in the unit it was given in, shape (T,).
+        force: filtered force (u^2 or u) in its given unit, shape (T,).
         states: [x, x', ..., x^(n)] in m / s^i (or V / s^i), shape (T, n + 1); finite everywhere: where
             nothing was filtered, x is interpolated linearly and the derivatives are zero.
         valid: True where a sample may enter the loss, shape (T,).
@@ -53,12 +53,12 @@ class StateRecord:
 
 
 def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FRACTION) -> float:
-    """Frequency in Hz below which a share of the force's energy about its mean lies, pooled over records.
+    """Return the frequency (Hz) below which a fraction of the force's energy about its mean lies, pooled.
 
     Args:
         forces: one array per record, shapes (T_r,); each is taken about its own mean.
         dt: sampling interval in s.
-        share: of the energy.
+        share: fraction of the energy.
 
     Raises:
         BadInput: no force ever changes.
@@ -84,7 +84,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
 
 
 def cutoff(f_max: float, dt: float) -> float:
-    """Filter cut-off min(2 f_max, 0.4 f_s) in Hz.
+    """Return the filter cut-off min(2 f_max, 0.4 f_s), Hz.
 
     Args:
         f_max: from `force_band`, in Hz.
@@ -94,7 +94,7 @@ def cutoff(f_max: float, dt: float) -> float:
 
 
 def edge_samples(cutoff_hz: float, dt: float, order: int) -> int:
-    """Samples at each end of a stretch that the filter's settling (and the shorter stencils) spoil.
+    """Return how many samples at each end the filter's settling (and the shorter stencils) affect.
 
     Args:
         cutoff_hz: filter cut-off in Hz.
@@ -115,15 +115,15 @@ def preprocess(
     """Filter a record and differentiate its output.
 
     Args:
-        record: what was measured.
+        record: the measured record.
         order: n, the highest derivative.
         cutoff_hz: filter cut-off in Hz, from `cutoff`.
-        force: the drive as the equation has it (u^2 or u), shape (T,).
+        force: input of the equation (u^2 or u), shape (T,).
         displacement: output already corrected for offset and polarity, shape (T,); None for the record's own.
         difference: `stencil` (8th order) or `central` (eq. 8).
 
     Returns:
-        the states; `valid` is all False where no stretch of observed samples outlasts the filter's settling.
+        the states; `valid` is all False if no stretch of observed samples is longer than the filter's settling.
 
     Raises:
         ValueError: unknown difference, negative order, cut-off outside (0, f_s / 2), or arrays of another
@@ -133,7 +133,7 @@ def preprocess(
     force = np.asarray(force, dtype=np.float64)
     dt = record.dt
     _check(record, order, cutoff_hz, force, displacement, difference)
-    # second-order sections: the polynomials of a low cut-off lose all their digits
+    # second-order sections, because polynomials of a low cut-off lose all their digits
     sos = np.asarray(scipy.signal.butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
     edge = edge_samples(cutoff_hz, dt, order)
     states = np.zeros((record.samples, order + 1))
@@ -151,23 +151,23 @@ def preprocess(
         valid[start + edge : stop - edge] = True
     x = np.where(known, states[:, 0], displacement)
     usable = known if known.any() else np.isfinite(displacement)
-    # memories follow x across gaps, though the loss does not look there
+    # memories follow x across gaps, although the loss ignores them
     states[:, 0] = np.interp(record.time, record.time[usable], x[usable])
     return StateRecord(record.name, record.time, _filtered(sos, force, edge), states, valid, float(cutoff_hz), dt)
 
 
 def _filtered(sos: np.ndarray, values: np.ndarray, edge: int) -> np.ndarray:
-    """Zero-phase filter, extended oddly at the ends by as many samples as it takes to settle."""
+    """Return values after the zero-phase filter, extended oddly at the ends by its settling time."""
     return scipy.signal.sosfiltfilt(sos, values, padlen=min(2 * edge, len(values) - 1))
 
 
 def stretches(observed: np.ndarray) -> list[tuple[int, int]]:
-    """Contiguous runs of True as (start, stop), stop excluded.
+    """Return contiguous runs of True as (start, stop), stop excluded.
 
     Args:
         observed: shape (T,).
     """
-    # +1 where a run begins, -1 one past its end
+    # +1 where a run starts, -1 one past its end
     change = np.diff(np.concatenate([[False], observed, [False]]).astype(np.int8))
     return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True))
 

@@ -1,9 +1,9 @@
-"""Files and folders to records, in base units and checked.
+"""Read files and folders into checked records in base units.
 
     files -> (time, input, output) columns in base units -> faults masked -> uniform grid -> Record
 
-The name of a record is its file name without the suffix; where names collide in one call the parent
-folders go in front (`clean/sine0`). What every file lacks is told in one message.
+The name of a record is its file name without the suffix; where names collide in one call the parent folders go in front
+(`clean/sine0`). One message reports the missing information of all files.
 """
 
 import os
@@ -75,24 +75,24 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     """Read any mix of record files and folders of them.
 
     Folders do not recurse; their files are taken in sorted order, files that are not records are ignored. A record with
-    a gap too long to fill is split there (`name.1`, `name.2`). What is said here wins over `pitp.toml` in the folder of
-    a file, and that over what is recognised.
+    a gap too long to fill is split there (`name.1`, `name.2`). These options take precedence over `pitp.toml` in the
+    folder of a file, which takes precedence over recognised values.
 
     Args:
         *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`), rosbag2 folders, and
             folders of them.
         **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
-            `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
-            kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
-            without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
-            `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
-            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the
-            other columns, where time, input and output stand in separate files. `joint`: one of those that `each` in
-            `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
+            `input_unit`, `output_unit`: instead of the file's. `input_scale`: of an amplifier's monitor (1 V per kV:
+            1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
+            without time, or instead of any clock. `header_line`: the line that names the columns, from 1. `units_line`:
+            the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
+            `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the other
+            columns, if time, input and output are in separate files. `joint`: one of those that `each` in `pitp.toml`
+            names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
 
     Returns:
-        the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
-        what was read.
+        the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised`
+            describes the reading.
 
     Raises:
         BadInput: nothing to read, or files are refused: one line with all of them (file, column, sample, remedy).
@@ -110,7 +110,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
 def read_each(
     paths: Sequence[str | os.PathLike], reading: Mapping[str, Any]
 ) -> tuple[tuple[Record, ...], dict[str, str]]:
-    """Whatever can be read, of any rates and kinds; and the refusal of every other file by its record's name.
+    """Read every file that can be read, of any rates and kinds; return the refusals of the others by record name.
 
     Args:
         paths: files and folders.
@@ -126,10 +126,10 @@ def read_each(
 
 
 def options_of(said: Mapping[str, Any]) -> ReadOptions:
-    """Keyword arguments as options.
+    """Return keyword arguments as options.
 
     Raises:
-        BadInput: an unknown name, or a value that means nothing.
+        BadInput: an unknown name or value.
     """
     strange = [name for name in said if name not in ReadOptions.__dataclass_fields__]
     if strange:
@@ -146,15 +146,15 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
 def attempted(
     paths: Sequence[str | os.PathLike], options: ReadOptions, quantities: Sequence[str], make: Callable[..., Sequence]
 ) -> tuple[list, dict[str, BadInput], int]:
-    """What `make(path, label, columns)` makes of every part of every file, refusals by name, and how many files.
+    """Apply `make(path, label, columns)` to every part of every file; return results, refusals and number of files.
 
     Args:
         paths: files and folders.
-        options: what is said of them.
+        options: their options.
         quantities: of `time`, `voltage`, `displacement`.
-        make: from a file, the label of a part and its columns to a list.
+        make: function from a file, the label of a part and its columns to a list.
     """
-    # names first: a record's label depends on all the others
+    # names first, because a record's label depends on all the others
     files = _without_joined(files_of(paths), options)
     made: list = []
     refused: dict[str, BadInput] = {}
@@ -173,13 +173,13 @@ def attempted(
 
 
 def _without_joined(files: list[Path], options: ReadOptions) -> list[Path]:
-    """The files less those that are joined to others of them, unless that leaves none."""
+    """Return the files without those joined to others, unless none would remain."""
     joined = {os.path.realpath(other) for file in files for other in options.join or joined_in(file)}
     return [file for file in files if os.path.realpath(file) not in joined] or files
 
 
 def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
-    """Records, refusals by name, and how many files there were; clocks that are uneven share one rate."""
+    """Return records, refusals by name, and the number of files; uneven clocks are resampled at one rate."""
     sources: list[tuple[Path, str, Loaded]] = []
 
     def make(path: Path, name: str, one: Loaded) -> list[list[Record]]:
@@ -198,7 +198,7 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
 
 
 def _limited(records: list[Record]) -> list[Record]:
-    """The records, clipped also where only others of the set tell the sensor's limit."""
+    """Return the records, also clipped where only other records of the set prove the sensor's limit."""
     # only where a record's own runs were certain
     limits = {r.recognised["limit"] for r in records if r.recognised.get("clipped")}
     return [_clipped_at(record, limits) if limits else record for record in records]
@@ -220,12 +220,12 @@ def _clipped_at(record: Record, limits: set[float]) -> Record:
 
 
 def _unique(records: list[Record]) -> list[Record]:
-    """Records of one name told apart: a.csv split at its gap beside a file a.1.csv."""
+    """Return the records with unique names (a.csv split at its gap may collide with a.1.csv)."""
     taken: set[str] = set()
     kept = []
     for record in records:
         name = record.name
-        # a mark that no suffix and no split makes
+        # a mark that neither a suffix nor a split adds
         while name in taken:
             name += "'"
         taken.add(name)
@@ -234,7 +234,7 @@ def _unique(records: list[Record]) -> list[Record]:
 
 
 def read_target(path: str | os.PathLike, output_column: str | None = None, **said: Any) -> Target:
-    """Read a wanted trajectory: time and displacement, whatever else the file holds.
+    """Read a wanted trajectory (time and displacement) and ignore other columns.
 
     Args:
         path: one file of the known formats.
@@ -245,7 +245,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
         the target in base units.
 
     Raises:
-        BadInput: as for a record, and where a sample is missing.
+        BadInput: as for a record, and if a sample is missing.
 
     Examples:
         >>> pitp.read_target(folder / "target.csv").displacement_unit
@@ -262,7 +262,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
-    # no voltage belongs to a target: zeros pass in its place
+    # a target has no voltage: zeros replace it
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place, least=2)
     check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))
@@ -285,16 +285,16 @@ def _existing(path: str | os.PathLike) -> Path:
 
 
 def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]:
-    """Paths with `*` and `?` spelt out, which the shells of Windows leave to the program."""
+    """Yield the paths with `*` and `?` expanded, which Windows shells leave to the program."""
     for path in paths:
         pattern = isinstance(path, (str, os.PathLike)) and not os.path.exists(path) and str(path)
-        # a file of that very name wins over what its pattern would match
+        # a file with exactly that name wins over matches of its pattern
         matches = sorted(glob(pattern)) if pattern and set("*?") & set(pattern) else []
         yield from matches or [path]
 
 
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
-    """The record files behind files and folders, in order.
+    """Return the record files behind files and folders, in order.
 
     Raises:
         BadInput: none given, one that does not exist, a folder without any.
@@ -312,7 +312,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             raise BadInput(
                 f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its rights"
             ) from None
-        # read-mes and pictures beside the recordings are no records
+        # read-mes and pictures beside the recordings are not records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
             raise BadInput(
@@ -323,7 +323,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
 
 
 def _is_record(file: Path) -> bool:
-    """Whether a file in a folder is taken: a known suffix, not hidden, no read-me beside the recordings."""
+    """Return whether a file in a folder is a record: a known suffix, not hidden, not a read-me."""
     stem, suffix = split_suffix(file.name)
     note = suffix.lower() == ".txt" and stem.lower().replace("-", "").replace("_", "") in _NOTES
     return is_bag(file) or (
@@ -332,10 +332,10 @@ def _is_record(file: Path) -> bool:
 
 
 def names_of(files: Sequence[Path]) -> list[str]:
-    """One unique name per file: where names collide, as many folders in front as tell them apart.
+    """Return one unique name per file; names that collide get as many parent folders as necessary.
 
     Raises:
-        BadInput: a file given twice, or two of one folder that differ by their suffix alone.
+        BadInput: a file given twice, or two of one folder that differ only in their suffix.
     """
     # links and relative paths: the file itself counts
     real = [Path(os.path.realpath(file)) for file in files]
@@ -361,14 +361,14 @@ def names_of(files: Sequence[Path]) -> list[str]:
 
 
 def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
-    """A file's columns checked, with the sensor's faults masked, on their uniform grid; without an output, zeros.
+    """Return a file's columns checked, with sensor faults masked, on a uniform grid; zeros without an output.
 
     Args:
         one: the columns.
-        rate: of the grid, Hz, where neither the user nor the clock gives one.
+        rate: of the grid, Hz, if neither the user nor the clock gives one.
 
     Raises:
-        BadInput: samples that no later step could use, values that no rig has, time that decreases or repeats.
+        BadInput: unusable samples, impossible values, time that decreases or repeats.
     """
     time, voltage, source = one.values["time"], one.values["voltage"], one.table.source
     output = one.values.get("displacement")
@@ -385,7 +385,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     rate = one.options.rate if rate is None else rate
     try:
         rows = usable_rows(time, voltage, displacement, source, columns[0], one.place, rate)
-        # before the grid: interpolating over a spike would smear it
+        # before the grid, because interpolation would spread a spike
         masked = mask_faults(rows.displacement, rows.voltage) if output is not None else Masked(rows.displacement)
         masked = replace(masked, turns=turns)
         return masked, on_grid(replace(rows, displacement=masked.displacement), source, columns[0], one.place, rate)
@@ -424,14 +424,14 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:
-    """The options as `pitp.toml` beside a file has them: joined files by their way from there."""
+    """Return the options from the `pitp.toml` beside a file; joined files are relative to that folder."""
     if options.join is None:
         return options
     return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))
 
 
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
-    """What was done to a record."""
+    """Return remarks on what was done to a record."""
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
     notes = questions(masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
@@ -449,7 +449,7 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
 
 
 def clock_remarks(name: str, put: Gridded) -> list[Remark]:
-    """What was done to the time of a record."""
+    """Return remarks on what was done to the time of a record."""
     rows, count = put.rows, len(put.rows.time)
     jitter = put.jitter if put.jitter > TIME_TOLERANCE and not put.packets else 0
     rate = f"{1 / np.median(np.diff(put.pieces[0].time)):.4g} Hz"

@@ -18,7 +18,7 @@ from .checks import check_samples
 
 
 def own_column(values: Any, what: str) -> np.ndarray:
-    """Return values as float64 of our own that cannot be written to: spans of time in s, masked samples nan.
+    """Return values as a read-only float64 copy: time spans in s, masked samples nan.
 
     Raises:
         BadInput: they are not real numbers; `what` names them in the message.
@@ -39,18 +39,18 @@ def own_column(values: Any, what: str) -> np.ndarray:
 
 
 class Timed(Shown):
-    """What is sampled uniformly."""
+    """A uniformly sampled series."""
 
     time: np.ndarray
 
     @property
     def dt(self) -> float:
-        """Sampling interval in s."""
+        """Return the sampling interval, s."""
         return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
 
 
 def range_in(values: np.ndarray, unit: str) -> str:
-    """The range of values (base unit, nan where missing) in the unit of their file: `0 to 2.5 kV`."""
+    """Return the range of values (base unit, nan where missing) as text in their file's unit: `0 to 2.5 kV`."""
     low, high = (from_base(float(end(values)), unit) for end in (np.nanmin, np.nanmax))
     return f"{low:.4g} to {high:.4g} {unit}"
 
@@ -60,14 +60,14 @@ class Record(Timed):
     """One excitation of one actuator, in base units.
 
     Attributes:
-        name: the file name less its known suffix, or any label unique in the set.
+        name: the file name without its known suffix, or any label unique in the set.
         time: sample times in s, shape (T,), uniform to 1 % of a sample; the session clock.
-        voltage: drive voltage in V, shape (T,); no missing samples.
+        voltage: input voltage in V, shape (T,); no missing samples.
         displacement: output in `m` (or `V` for electronic benchmarks), shape (T,); nan where missing.
         voltage_unit: unit the voltage had in its file; used when results are written back.
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
-        recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
+        recognised: properties and corrections of the file as read: `file`, `time`, `input`, `output` in words, counts
             `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user (`findings` as values).
 
     Raises:
@@ -84,38 +84,38 @@ class Record(Timed):
     recognised: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
-        """Refuse what no later step could use (the readers give the file, column and sample as well)."""
+        """Refuse samples that no later step could use (the readers give the file, column and sample as well)."""
         refuse_traced("Record", "free_run or residual with arrays", self.time, self.voltage, self.displacement)
         for name in ("time", "voltage", "displacement"):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
         for unit in (self.voltage_unit, self.displacement_unit):
             if unit not in INPUT_UNITS:
                 raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")
-        source = cleaned(self.source) or f"record {self.name!r}"  # a path is kept as it is, and never printed so
+        source = cleaned(self.source) or f"record {self.name!r}"  # a path is stored unchanged, but printed cleaned
         check_samples(self.time, self.voltage, self.displacement, source)
 
     def __repr__(self) -> str:
-        """One line: length, rate, ranges in the file's units."""
+        """Return one line: length, rate, ranges in the file's units."""
         ranges = range_in(self.voltage, self.voltage_unit), range_in(self.displacement, self.displacement_unit)
         lost = f", {self.missing} missing" if self.missing else ""
         return f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {', '.join(ranges)}{lost})"
 
     @property
     def samples(self) -> int:
-        """Number of samples T."""
+        """Return the number of samples T."""
         return len(self.time)
 
     @property
     def observed(self) -> np.ndarray:
-        """True where the output was measured, shape (T,)."""
+        """Return where the output was measured, shape (T,)."""
         return np.isfinite(self.displacement)
 
     @property
     def span(self) -> float:
-        """Largest less smallest output."""
+        """Return largest minus smallest output."""
         return float(np.ptp(self.displacement[self.observed]))
 
     @property
     def missing(self) -> int:
-        """Number of missing output samples."""
+        """Return the number of missing output samples."""
         return int(self.samples - self.observed.sum())

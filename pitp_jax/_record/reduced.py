@@ -1,4 +1,4 @@
-"""Reduce the sampling rate of oversampled records: means over blocks, of which a linear system keeps the relation.
+"""Reduce the sampling rate of oversampled records by block means, which preserve linear relations.
 
     F_k = mean_{t in block k} F_t,    y_k = mean over the observed t of block k of y_t
     size = floor(1 / (n f dt))        n: samples kept of a period,  f: the fastest motion that the records show
@@ -20,12 +20,12 @@ from .preprocess import force_band
 from .record import Record
 
 _BAND = 0.98  # of the energy of force and motion
-_BEYOND = 3.0  # times the motion's band: a mode above moves nothing in these records
+_BEYOND = 3.0  # times the motion's band: a mode above does not move in these records
 
 
 @runtime_checkable
 class Sampled(Protocol):
-    """A model, as far as a sampling rate concerns it: its force, its coefficients, itself at another rate."""
+    """Parts of a model that depend on the sampling rate: its force, coefficients, and itself at another rate."""
 
     @property
     def input_map(self) -> Any: ...
@@ -40,11 +40,11 @@ M = TypeVar("M", bound=Sampled)
 def reduce_rate(
     records: Sequence[Record], model: M, samples_per_period: float, *, least: int = 2
 ) -> tuple[Sequence[Record], M]:
-    """Return the records as means over blocks, and the model for their rate; both as they are where nothing is gained.
+    """Return the records as block means, and the model for their rate; both unchanged if nothing is gained.
 
     Args:
         records: in base units, of one sampling rate.
-        model: its modes count among the fastest motion; its coefficients stay, and hold for the records' own rate.
+        model: its modes count among the fastest motion; its coefficients stay valid for the records' own rate.
         samples_per_period: kept of the fastest motion, at least.
         least: size of the blocks from which it is worthwhile.
     """
@@ -60,9 +60,9 @@ def reduce_rate(
 
 
 def fastest_hz(records: Sequence[Record], forces: Sequence[np.ndarray], modes: np.ndarray) -> float:
-    """Return the highest frequency that matters, Hz: of what moves under the force, and of modes that oscillate there.
+    """Return the highest relevant frequency (Hz): of the motion under the force, and of modes that oscillate there.
 
-    A force that moves nothing counts no more than a motion that nothing drives, a mode far above the motion not at all.
+    Force without motion and motion without force are ignored, and so is a mode far above the motion.
     """
     dt = records[0].dt
     motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
@@ -71,7 +71,7 @@ def fastest_hz(records: Sequence[Record], forces: Sequence[np.ndarray], modes: n
 
 
 def block_size(dt: float, hertz: float, samples_per_period: float, shortest: int) -> int:
-    """Return how many samples make a block, so that a period keeps so many and the shortest record 64.
+    """Return the block size (samples) that keeps enough samples per period, and 64 in the shortest record.
 
     Args:
         dt: sampling interval, s.
@@ -83,10 +83,10 @@ def block_size(dt: float, hertz: float, samples_per_period: float, shortest: int
 
 
 def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Record:
-    """Return the record in means over blocks of `size` samples, with the force (V^2 or V) in the voltage's place.
+    """Return the record in means over blocks of `size` samples, with the force (V^2 or V) in place of the voltage.
 
-    Not the voltage: the mean of a square is not the square of the mean. A block of which less than half was observed
-    is missing.
+    The force is averaged because the mean of a square is not the square of the mean. A block is missing if less than
+    half of it was observed.
     """
     count = record.samples // size
     seen = record.observed[: count * size].reshape(count, size)
@@ -106,15 +106,15 @@ def means(values: np.ndarray, size: int) -> np.ndarray:
 
 
 def samples_before(k: int, rest: bool) -> int:
-    """Return how many samples of rest are put before a record, so that its first mean is of rest alone."""
+    """Return how many samples of rest precede a record, so that its first mean contains only rest."""
     return k + k // 2 if rest and k > 1 else 0
 
 
 def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
-    """Return every size-th sample as the mean of those around it, from the rest before a record on; nan is no part."""
+    """Return every size-th sample as the mean of those around it, starting in the rest before; nan is ignored."""
     if size == 1:
         return series
-    # an even size has no middle: half of either end
+    # an even size has no middle sample: half of either end
     weights = np.ones(size) if size % 2 else np.r_[0.5, np.ones(size - 1), 0.5]
     whole = np.concatenate([np.full(samples_before(size, rest), np.nan), series])
     there = np.isfinite(whole)
@@ -124,9 +124,9 @@ def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
 
 
 def _with_voltage(record: Record, force: np.ndarray, size: int, model: Sampled) -> Record:
-    """Turn the force's block means into a voltage again, of the sign of the mean voltage."""
+    """Return block means with the force turned back into a voltage with the sign of the mean voltage."""
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
-    sign = np.where(voltage < 0, -1.0, 1.0) if model.input_map.one_sided else 1.0  # the square has lost it
+    sign = np.where(voltage < 0, -1.0, 1.0) if model.input_map.one_sided else 1.0  # the square has lost the sign
     units = {"voltage_unit": record.voltage_unit, "displacement_unit": record.displacement_unit}
     return replace(mean, voltage=sign * back, **units)

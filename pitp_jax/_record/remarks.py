@@ -1,4 +1,4 @@
-"""What was done to records as they were read: findings as values, in words only at the end.
+"""Remarks on what was done to records while reading: stored as values, formulated only at the end.
 
 kind, record, count -> one sentence for a record, one line of a set for every kind: `9 records: 1 lost sample each, ...`
 """
@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-_COUNTED = {  # kind: what is counted, what became of it
+_COUNTED = {  # kind: unit counted, and what was done
     "input_turns": ("turn", "of the input unwrapped: the output goes the short way"),
     "output_turns": ("turn", "of the output unwrapped: its motion continues across the step"),
     "outliers": ("output sample", "masked as spikes or dropouts"),
@@ -38,9 +38,9 @@ class Remark:
     """One finding on one record.
 
     Attributes:
-        kind: one of those above, or "note", of which `detail` is all.
+        kind: one of those above, or "note", which is `detail` alone.
         record: its name.
-        value: how many, or how much.
+        value: a number or an amount.
         detail: an example, for the sentence on this record alone.
     """
 
@@ -50,7 +50,7 @@ class Remark:
     detail: str = ""
 
     def __str__(self) -> str:
-        """The sentence, without the record."""
+        """Return the sentence, without the record."""
         if self.kind in _MEASURED:
             return _MEASURED[self.kind].format(self.value)
         if self.kind not in _COUNTED:
@@ -60,12 +60,12 @@ class Remark:
 
 
 def counted(count: int, what: str) -> str:
-    """A count with its noun, singular or plural."""
+    """Return a count with its noun, singular or plural."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def by_kind(remarks: Sequence[Remark]) -> list[str]:
-    """One line for every kind, in the order in which they come; notes one by one."""
+    """Return one line for every kind, in order of appearance; notes one by one."""
     lines = []
     for kind in dict.fromkeys(remark.kind for remark in remarks):
         same = [remark for remark in remarks if remark.kind == kind]

@@ -1,10 +1,10 @@
-"""What a rig does not repeat: the floor of records whose drive comes back, cycle after cycle.
+"""Scatter of a rig between cycles of a periodic input: the noise floor of such records.
 
     sigma^2 = mean over a window of  (e(t + P) - e(t))^2 / 2        where  u(t + P) = u(t)
 
-Whatever the model lacks repeats with the drive and drops out; noise does not, nor does the rig's own scatter. Slow gaps
-(creep, drift) and transients remain in part, so this is an upper bound, as the spectrum's is. A Peano-HASEL in bursts
-of sines leaves lines so broad that the spectrum between them read 3.7 % of range; its cycles repeat to 0.1 %.
+A model's error repeats with the input and cancels; noise does not, nor does the scatter of the rig. Slow errors (creep,
+drift) and transients remain in part, so this is an upper bound, like the spectrum's. A Peano-HASEL in bursts of sines
+has such broad lines that the spectrum between them gave 3.7 % of range; its cycles repeat to 0.1 %.
 """
 
 import numpy as np
@@ -12,14 +12,14 @@ import numpy as np
 from .excitation_kind import spectrum
 from .record import Record
 
-_PERIODS = 8  # up to so many apart
-_SAME = 0.03  # of the drive's standard deviation
-_FEWEST = 3  # windows of two periods, or records of no use
+_PERIODS = 8  # largest number of periods apart
+_SAME = 0.03  # of the input's standard deviation
+_FEWEST = 3  # windows of two periods, at least
 _MOVING = 0.1  # of the record's largest standard deviation over a window
 
 
 def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> float | None:
-    """Its square in one record: the largest over the lags that repeat the drive best; None where none does."""
+    """Return the squared scatter of one record: the largest over the lags that best repeat the input, or None."""
     u = record.voltage
     period = _period(record)
     # too few samples of a period, or periods of a record, to compare
@@ -34,7 +34,7 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
 
 
 def _period(record: Record) -> float:
-    """Of the drive's strongest line, in samples; by the parabola through its logarithm."""
+    """Return the period of the input's strongest line (samples), by a parabola through its logarithm."""
     size = spectrum(record)
     k = int(np.argmax(size[1:-1])) + 1
     a, b, c = np.log(np.maximum(size[k - 1 : k + 2], 1e-300))
@@ -44,7 +44,7 @@ def _period(record: Record) -> float:
 
 
 def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
-    """How far apart the drive is after `lag` (over its deviation) and mean squares of errors, middle of the windows."""
+    """Return the input's difference after `lag` (over its deviation) and half the mean square of the error's."""
     count = (len(u) - lag) // size
     if count < _FEWEST:
         return None
@@ -58,18 +58,18 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
     apart = np.sqrt(_square(change, more, np.ones_like(both))) / np.maximum(spread, 1e-30)
     change, more = (windows(v) for v in _change(error, lag))
     square = _square(change, more, both)
-    # the drive repeats there, it moves, and half was observed
+    # the input repeats there, it moves, and half was observed
     good = (apart < _SAME) & (spread > _MOVING * spread.max()) & (both.mean(1) > 0.5)
     return (float(np.median(apart[good])), float(np.median(square[good]))) if good.sum() >= _FEWEST else None
 
 
 def _change(values, lag: int):
-    """Over the lag, and what a part of a sample more would add to it."""
+    """Return the change over the lag, and its derivative with respect to a part of a sample."""
     return values[lag:] - values[:-lag], np.gradient(values)[:-lag]
 
 
 def _square(change, more, counts):
-    """Half the mean square of a change over every window, without that of a period that is no whole sample."""
-    more = more - more.mean(1, keepdims=True)  # a wander's own slope stays
+    """Return half the mean square of a change over every window, corrected for a non-integer period."""
+    more = more - more.mean(1, keepdims=True)  # the mean slope of a slow drift stays
     part = np.sum(counts * change * more, 1) / np.maximum(np.sum(counts * more**2, 1), 1e-300)
     return np.sum(counts * (change - part[:, None] * more) ** 2, 1) / 2 / np.maximum(counts.sum(1), 1)

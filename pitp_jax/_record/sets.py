@@ -1,4 +1,4 @@
-"""Sets of records: what they must share (rate, kind of output), when their session began, which are alike in length."""
+"""Sets of records: checks of rate and output, start of the session clock, groups of similar length."""
 
 from collections.abc import Callable, Sequence
 from os import PathLike
@@ -14,10 +14,10 @@ ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the
 
 
 def check_records(records: object, *, empty: bool = False) -> None:
-    """Refuse what is no list of records; `empty`: whether none is fine.
+    """Refuse anything but a list of records; `empty`: whether an empty list is accepted.
 
     Raises:
-        BadInput: saying what was given, and what to give.
+        BadInput: naming the given and the accepted types.
     """
     if isinstance(records, Record):
         raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
@@ -33,7 +33,7 @@ def check_records(records: object, *, empty: bool = False) -> None:
 
 
 def check_set(records: Sequence[Record] | Record) -> None:
-    """Refuse what is no set of records, or mixes sampling rates or kinds of output.
+    """Refuse anything but a set of records with one sampling rate and one kind of output.
 
     Raises:
         BadInput: with the record that does not fit.
@@ -59,33 +59,32 @@ def _place(record: Record) -> str:
 
 
 def clock_start(records: Sequence[Record]) -> float:
-    """What clocks that show absolute time (epoch seconds) showed at the first record, s; 0 for a session's own."""
+    """Return the absolute time (epoch, s) of the first record; 0 for a clock that started with the session."""
     first = min(float(r.time[0]) for r in records)
     return first if abs(first) > ABSOLUTE else 0.0
 
 
 def session_clock(records: Sequence[Record]) -> bool:
-    """Whether the times of a set are one session clock: no two records overlap (a single one: True).
+    """Return whether the times of a set are one session clock: no two records overlap (a single one: True).
 
     Args:
         records: the records of a set, in any order.
     """
-    # one after another: half a sample of overlap is rounding
+    # in sequence: half a sample of overlap is rounding
     spans = sorted((record.time[0], record.time[-1], record.dt) for record in records)
     return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
 
 
 def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
-    """Places of records (or voltages) to be padded to one length: all, or where that doubles them sets of like length.
+    """Return groups of indices of records to be padded to one length: one group unless padding doubles them.
 
-    One long record among short ones would make all of them as long. In a set of like length none is shorter than half
-    the longest.
+    One long record would lengthen all short ones in its group. In a group none is shorter than half the longest.
     """
     lengths = [length(r) for r in records]
     if max(lengths) * len(lengths) <= 2 * sum(lengths):
         return [list(range(len(lengths)))]
     sets: list[list[int]] = []
-    # the longest first, and all within half of it beside it
+    # the longest first, grouped with all at least half as long
     for k in np.argsort(lengths)[::-1].tolist():
         if not sets or lengths[k] < lengths[sets[-1][0]] / 2:
             sets.append([])

@@ -1,9 +1,9 @@
-"""Time stamps made usable before a grid is sought: overflows, rows out of order, rows with one stamp.
+"""Repair time stamps before a grid is fitted: overflows, rows out of order, rows with equal stamps.
 
 overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of 1 ms or 1 us)
 
-Two readings of stamps compete: they are true, or the rows were sampled evenly and stamped late. Each reading predicts a
-row from its neighbours, y_i = w y_{i-1} + (1 - w) y_{i+1}, with w by the stamps or w = 1/2.
+Two assumptions about the stamps are compared: they are correct, or the rows were sampled evenly and stamped late. Each
+assumption predicts a row from its neighbours, y_i = w y_{i-1} + (1 - w) y_{i+1}, with w from the stamps or w = 1/2.
 """
 
 from collections.abc import Callable
@@ -17,7 +17,7 @@ FEW = 3.0  # usual steps: rows out of order by less are sorted, output interpola
 EVEN = np.log(2)  # even rows predict the signals twice as well as the stamps do
 _TURNS = tuple(2**bits * tick for bits in (16, 31, 32) for tick in (1e-3, 1e-6))  # s
 _COUNTS = 20  # a counter overflows after more steps than this
-_PAIRS = 0.95  # of the stamps: fewer that stand twice are no pairs of least and greatest
+_PAIRS = 0.95  # of the stamps: if fewer occur twice, they are not pairs of least and greatest
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Rows:
         sorted: rows or stamps that were out of order.
         doubled: rows equal to the row before, left out.
         averaged: rows that were averaged with the row before, whose stamp they share.
-        counted: whether only the number of a row gives its time (`--rate` beside a clock that is wrong).
+        counted: whether only the number of a row gives its time (`--rate` with a wrong clock).
     """
 
     time: np.ndarray
@@ -43,7 +43,7 @@ class Rows:
     counted: bool = False
 
     def counted_at(self, rate: float) -> "Rows":
-        """Return the rows with times of their numbers alone."""
+        """Return the rows with times from their numbers alone."""
         return replace(self, time=np.arange(len(self.time)) / rate, counted=True)
 
 
@@ -65,7 +65,7 @@ def usable_rows(
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
-        rate: samples per second that the user states; it overrules a clock that falls.
+        rate: samples per second from the user, used instead of a decreasing clock.
 
     Raises:
         BadInput: time decreases by more than a few steps.
@@ -89,7 +89,7 @@ def usable_rows(
 
 
 def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the time with the turns of its counter added, and how many there were."""
+    """Return the time with counter overflows added, and their number."""
     steps = np.diff(time)
     back, ahead = steps < 0, steps[steps > 0]
     if not back.any() or not len(ahead):
@@ -103,9 +103,9 @@ def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _in_order(rows: Rows) -> Rows:
-    """Return the rows with sorted stamps; a row moves with its stamp only where the signals are smoother so.
+    """Return the rows with sorted stamps; a row moves with its stamp only if the signals become smoother.
 
-    Packets that overtook one another are sorted. A clock that was set back shows late stamps of rows in good order.
+    Packets in the wrong order are sorted. A clock that was set back gives late stamps of correctly ordered rows.
     """
     order = np.argsort(rows.time, kind="stable")
     moves = order != np.arange(len(order))
@@ -124,7 +124,7 @@ def _in_order(rows: Rows) -> Rows:
 def _once(rows: Rows) -> Rows:
     """Return the rows without those that repeat the row before in all cells.
 
-    Only where no time repeats without them: a clock that is rounded repeats in other rows too.
+    This applies only if no time repeats without them, because a rounded clock also repeats in other rows.
     """
     y = rows.displacement
     same = [np.diff(rows.time) == 0, np.diff(rows.voltage) == 0]
@@ -138,12 +138,12 @@ def _once(rows: Rows) -> Rows:
 
 
 def _firsts(time: np.ndarray) -> np.ndarray:
-    """Return the places of the rows whose stamp differs from the row before."""
+    """Return the indices of the rows whose stamp differs from the row before."""
     return np.flatnonzero(np.append(True, np.diff(time) > 0))
 
 
 def average_stamps(rows: Rows) -> Rows:
-    """Return one row for every stamp, with the means of input and of observed output."""
+    """Return one row for every stamp, with the means of the input and of the observed output."""
     firsts = _firsts(rows.time)
     sizes = np.diff(np.append(firsts, len(rows.time)))
     observed = np.isfinite(rows.displacement)
@@ -156,7 +156,7 @@ def average_stamps(rows: Rows) -> Rows:
 
 
 def evenness(rows: Rows) -> float:
-    """Return the log of how much better even rows predict the signals than true stamps do; 0 where nothing speaks."""
+    """Return the log ratio of prediction errors of true stamps to even rows; 0 if the signals do not decide."""
     before, after = rows.time[1:-1] - rows.time[:-2], rows.time[2:] - rows.time[1:-1]
     weight = np.where(before + after > 0, after / np.maximum(before + after, 1e-300), 0.5)
     log_ratio = 0.0
@@ -166,7 +166,7 @@ def evenness(rows: Rows) -> float:
         sums = []
         for w in (weight, np.full_like(weight, 0.5)):
             rest = values[1:-1] - w * values[:-2] - (1 - w) * values[2:]
-            # noise alone leaves the same rest under both readings
+            # noise alone has the same residual under both readings
             sums.append(float(np.nansum(np.abs(rest) / np.sqrt(1 + w**2 + (1 - w) ** 2))))
         if min(sums) > 0:
             log_ratio += float(np.log(sums[0] / sums[1]))

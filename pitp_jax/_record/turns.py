@@ -1,22 +1,22 @@
-"""Continue values on a circle (angles at +-180 deg or 0 to 360 deg, counts of an encoder) across the turn.
+"""Unwrap values on a circle (angles at +-180 deg or 0 to 360 deg, counts of an encoder).
 
     d_i = y_{i+1} - y_i,    n_i = round(d_i / P),    r_i = d_i - n_i P        P: one turn, d_i: step, r_i: its short way
 
-A step of the output with n_i != 0 is a turn where r_i continues the steps beside it. A machine cannot jump, a command
-can: a step of the input is a turn only where the output afterwards follows the short way.
+A step of the output with n_i != 0 is a turn if r_i continues the neighbouring steps. A machine cannot jump, but a
+command can: a step of the input is a turn only if the output then follows the short way.
 """
 
 import math
 
 import numpy as np
 
-_SLACK = 1.01  # turns that values on one circle may span: its noise may lie beyond the seam
+_SLACK = 1.01  # turns that values on one circle may span, because noise may exceed the seam
 _BESIDE, _USUAL = (
     2.0,
     10.0,
-)  # times the steps beside it, and the usual step, that a short way may be off
-_NEARER = 0.5  # of the distance of the input from the output must be left once its turns are removed
-_ROUND = 0.02  # relative distance of the counts seen in one turn from a round number
+)  # allowed deviation of a short step, in steps beside it, and in usual steps
+_NEARER = 0.5  # fraction of the input's distance from the output that may remain once its turns are removed
+_ROUND = 0.02  # relative distance from a round number of the counts measured in one turn
 _COUNTS = np.sort(np.concatenate([
     2.0 ** np.arange(9, 33), np.outer(10.0 ** np.arange(2, 7), [3.6, 4, 5, 10, 20, 25]).ravel()
 ]))  # of encoders in one turn  # fmt: skip
@@ -25,7 +25,7 @@ _COUNTS = np.sort(np.concatenate([
 def unwrap(
     voltage: np.ndarray, displacement: np.ndarray, units: tuple[str, str]
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Unwrap the output of a record, and its input where the output shows that the input has turned.
+    """Unwrap the output of a record, and its input if the output shows that the input has turned.
 
     Args:
         voltage: input, shape (T,).
@@ -33,13 +33,13 @@ def unwrap(
         units: base units of both; an angle and counts lie on a circle.
 
     Returns:
-        input and output, and how many turns were removed from each.
+        input and output, and the number of turns removed from each.
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     if len(seen) < 3:
         return voltage, displacement, (0, 0)
     inner, period = _period(voltage, units[0]), _period(displacement[seen], units[1])
-    # two signals in one unit have one turn, which the output shows more surely: it cannot step
+    # Two signals in one unit have one turn; the output shows it more reliably, because it cannot step.
     if units[0] == units[1]:
         inner = period = period or inner
     if period is None:
@@ -55,7 +55,7 @@ def unwrap(
 
 
 def _period(values: np.ndarray, unit: str) -> float | None:
-    """Return one turn in the values' unit; of counts the round number that their largest steps show."""
+    """Return one turn in the values' unit; for counts, the round number that the largest steps indicate."""
     if unit == "rad":
         return 2 * math.pi
     steps = np.diff(values)
@@ -70,7 +70,7 @@ def _period(values: np.ndarray, unit: str) -> float | None:
 
 
 def _beside(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the two steps beside each, and the sum of their sizes."""
+    """Return the mean of the two neighbours of each step, and the sum of their sizes."""
     before, after = np.append(steps[:1], steps[:-1]), np.append(steps[1:], steps[-1:])
     return (before + after) / 2, np.abs(before) + np.abs(after)
 
@@ -91,7 +91,7 @@ def _turns(values: np.ndarray, period: float) -> np.ndarray:
 def _unwrapped_input(
     voltage: np.ndarray, output: np.ndarray, period: float, turn_of_output: float
 ) -> tuple[np.ndarray, int]:
-    """Unwrap the input at the steps after which the output follows the short way; with the number of turns."""
+    """Unwrap the input at steps after which the output follows the short way; return it and the number of turns."""
     steps = np.flatnonzero(np.round(np.diff(voltage) / period))
     if not steps.size or np.ptp(voltage) > _SLACK * period:
         return voltage, 0
@@ -102,7 +102,7 @@ def _unwrapped_input(
     apart, reversed_apart = follows - voltage / period, -follows - voltage / period
     turns = np.round([apart[part].mean() for part in late])
     after = sum(np.sum((apart[part] - n) ** 2) for part, n in zip(late, turns, strict=True))
-    # as it stands, of either direction; whole turns between input and output are a matter of their zeros
+    # unchanged, in either direction; whole turns between input and output only shift the offset
     before = min(sum(np.sum((some[part] - np.round(np.median(some))) ** 2) for part in late)
                  for some in (apart, reversed_apart))  # fmt: skip
     if after > _NEARER**2 * before:

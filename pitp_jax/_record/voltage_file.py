@@ -1,4 +1,4 @@
-"""Files of a voltage alone, to be played to a model; read by the rules of records."""
+"""Read files of a voltage alone, to be played to a model, by the rules of records."""
 
 import os
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class Drive(Timed):
     """A voltage without a measurement.
 
     Attributes:
-        name: the file name less its known suffix.
+        name: the file name without its known suffix.
         time, voltage: in s and the base unit, uniform, shape (T,).
         voltage_unit: unit it had in its file.
         source: the file.
@@ -43,17 +43,17 @@ class Drive(Timed):
 
 
 def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
-    """Read any mix of files (and folders of them) of time and voltage; a displacement that is there is ignored.
+    """Read any mix of files and folders with time and voltage; a displacement column is ignored.
 
     Args:
         *paths: files and folders as for `read`; rates may differ.
         **said: `time_column`, `input_column`, units, `input_scale`, `rate` and the others as for `read`.
 
     Returns:
-        the drives, in the order given.
+        the voltages, in the order given.
 
     Raises:
-        BadInput: one line with all files that are refused.
+        BadInput: one line with all refused files.
 
     Examples:
         >>> drive = pitp.read_voltage(folder / "drive.csv")[0]
@@ -67,7 +67,7 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
 
 
 def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
-    """One drive, or several where gaps are too long to fill."""
+    """Return one voltage, or several if gaps are too long to fill."""
     one = select_range(one)
     _, put = mended(one)
     kinds = [f"{OPTIONS[q]} {one.words(q)}" for q in one.chosen]
@@ -83,7 +83,7 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
 
 
 def _output(table: Table, options: ReadOptions) -> str | None:
-    """The header of a displacement beside, if there is one."""
+    """Return the header of the displacement column, or None."""
     try:
         return choose_columns(table, options, ("displacement",))["displacement"].name
     except BadInput:

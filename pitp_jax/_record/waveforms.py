@@ -18,7 +18,7 @@ Waveform = tuple[np.ndarray, np.ndarray]
 
 
 def smooth_step(s: np.ndarray) -> np.ndarray:
-    """6 s^5 - 15 s^4 + 10 s^3 for s in [0, 1], 0 before, 1 after: a step with continuous x''."""
+    """Return 6 s^5 - 15 s^4 + 10 s^3 for s in [0, 1], 0 before, 1 after: a step with continuous second derivative."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
@@ -52,7 +52,7 @@ def sweep(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Linear frequency sweep, eq. 14.
+    """Return a linear frequency sweep, eq. 14.
 
     Args:
         f_start: first frequency in Hz.
@@ -82,7 +82,7 @@ def sine(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Sine, eq. 14: starts at its lowest value, offset - amplitude.
+    """Return a sine, eq. 14, which starts at its lowest value, offset - amplitude.
 
     Args:
         frequency: f in Hz.
@@ -110,14 +110,14 @@ def triangle(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; else as `sine`."""
+    """Return a symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; otherwise as `sine`."""
     time = _clock(duration, rate)
     wave = scipy.signal.sawtooth(2 * np.pi * frequency * time, 0.5)  # pyright: ignore[reportArgumentType]
     return _finish(time, amplitude * wave + offset, rate, rise, rest_s)
 
 
 def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, rest_s: float = 0.0) -> Waveform:
-    """Levels one after another, from zero, each reached by a smooth step.
+    """Return levels one after another, from zero, each reached by a smooth step.
 
     Args:
         levels: in V.
@@ -136,7 +136,7 @@ def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, res
     time = _clock(hold * len(levels), rate)
     values = np.asarray(levels, dtype=np.float64)
     before = np.concatenate([[0.0], values[:-1]])
-    # which level, minding times that fall a bit short of a whole hold
+    # index of the level; the margin allows for times slightly below a whole hold
     k = np.minimum((time / hold + 1e-9).astype(int), len(levels) - 1)
     share = smooth_step((time - k * hold) / rise) if rise > 0 else 1.0
     return _finish(time, before[k] + (values - before)[k] * share, rate, 0.0, rest_s)
@@ -154,7 +154,7 @@ def multisine(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Random-phase multisine: every multiple of 1/duration in the band, at equal amplitudes.
+    """Return a random-phase multisine: every multiple of 1/duration in the band, at equal amplitudes.
 
     Args:
         band: lowest and highest frequency in Hz.
@@ -172,7 +172,7 @@ def multisine(
         time in s and values in V.
     """
     time = _clock(duration, rate)
-    # lines of the period: the tones come back exactly
+    # lines of the period, so that the tones repeat exactly
     bins = np.arange(int(np.ceil(band[0] * duration - 1e-9)), int(np.floor(band[1] * duration + 1e-9)) + 1)
     # neither the mean nor the Nyquist line, which has no phase of its own
     bins = bins[(bins > 0) & (bins < len(time) / 2)]
@@ -184,7 +184,7 @@ def multisine(
     for _ in range(0 if crest is None else 100):
         if crest is None or _crest(best) <= crest:
             break
-        # peaks are cut and only the phases of what remains kept (Van der Ouderaa)
+        # peaks are clipped and only the phases of the result kept (Van der Ouderaa)
         limit = 0.85 * np.abs(trial).max()
         phase = np.angle(np.fft.rfft(np.clip(trial, -limit, limit))[bins])
         trial = _tones(bins, phase, len(time))
@@ -213,7 +213,7 @@ def complex_trajectory(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Smooth curve of changing range and speed, in the spirit of the paper's Fig. 18.
+    """Return a smooth curve of changing range and speed, similar to the paper's Fig. 18.
 
     x(t) = sum_k a_k (1 + sin(2 pi f t g_k + p_k) / 2) sin(2 pi f r_k t + q_k)
 
@@ -241,6 +241,6 @@ def complex_trajectory(
         envelope = 1.0 + 0.5 * np.sin(2 * np.pi * frequency * beat * time + slow[k])
         values += weight * envelope * np.sin(2 * np.pi * frequency * ratio * time + fast[k])
     low, high = values.min(), values.max()
-    # to -1 ... 1, whatever the phases made of the extremes
+    # scaled to -1 ... 1, because the extremes depend on the phases
     values = (2.0 * values - low - high) / (high - low)
     return _finish(time, amplitude * values + offset, rate, rise, rest_s)

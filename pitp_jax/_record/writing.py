@@ -1,8 +1,8 @@
-"""Files written whole or not at all.
+"""Write files completely or not at all.
 
     bytes -> temporary file in the same folder -> flush to disk -> renamed over the target
 
-An interrupted or failed write leaves the old file as it was and no temporary one behind.
+An interrupted or failed write keeps the old file and leaves no temporary file.
 """
 
 import gzip
@@ -17,7 +17,7 @@ from .._errors import BadInput
 
 
 def write_bytes_atomic(path: str | os.PathLike, data: bytes) -> None:
-    """Write a file whole or not at all.
+    """Write a file completely or not at all.
 
     A link is followed; a pipe or device (`/dev/stdout`) is written to directly, it cannot be replaced.
 
@@ -31,7 +31,7 @@ def write_bytes_atomic(path: str | os.PathLike, data: bytes) -> None:
     target = Path(os.path.realpath(path))
     try:
         if is_stream(path):
-            with open(path, "wb") as file:  # as given: the real path of a pipe's link is none
+            with open(path, "wb") as file:  # as given, because the real path of a pipe's link does not exist
                 file.write(data)
         else:
             _replace(target, data)
@@ -40,23 +40,23 @@ def write_bytes_atomic(path: str | os.PathLike, data: bytes) -> None:
 
 
 def is_stream(path: str | os.PathLike) -> bool:
-    """Whether a path is a pipe or a device, which is written to as it is."""
+    """Return whether a path is a pipe or a device, which is written to directly."""
     return os.path.exists(path) and not os.path.isfile(path) and not os.path.isdir(path)
 
 
 def _replace(target: Path, data: bytes) -> None:
     temporary = target.parent / f".pitp-{secrets.token_hex(8)}.tmp"
     try:
-        # in the same folder: a rename does not cross file systems
+        # in the same folder, because a rename does not cross file systems
         with open(temporary, "xb") as file:
             file.write(data)
             file.flush()
-            # before the rename, or a power cut leaves an empty file
+            # before the rename; otherwise a power cut leaves an empty file
             os.fsync(file.fileno())
         if target.exists():
             os.chmod(temporary, target.stat().st_mode & 0o7777)  # the mode stays
         os.replace(temporary, target)
-    except BaseException:  # also an interrupt must not leave the temporary file
+    except BaseException:  # an interrupt must not leave the temporary file either
         temporary.unlink(missing_ok=True)
         raise
 
@@ -72,7 +72,7 @@ def _remedy(error: OSError) -> str:
 
 
 def write_text_atomic(path: str | os.PathLike, text: str) -> None:
-    """Write UTF-8 text whole or not at all; see `write_bytes_atomic`.
+    """Write UTF-8 text completely or not at all; see `write_bytes_atomic`.
 
     Args:
         path: the file.
@@ -85,7 +85,7 @@ def write_text_atomic(path: str | os.PathLike, text: str) -> None:
 
 
 def write_csv(path: str | os.PathLike, columns: Mapping[str, np.ndarray]) -> None:
-    """Write columns as CSV (compressed where the name ends in `.gz`), whole or not at all.
+    """Write columns as CSV (compressed if the name ends in `.gz`), completely or not at all.
 
     Times get nine decimals, so that uniform sampling stays uniform; other numbers nine digits; whole-number
     and boolean columns are written as such. Samples that are not finite become empty cells (missing).

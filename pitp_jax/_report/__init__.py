@@ -1,1 +1,1 @@
-"""Figures, on axes the caller may own (data in m, V and s, shown in mm, V or kV, and s), numbers and pages."""
+"""Figures on axes the caller may supply (data in m, V and s, shown in mm, V or kV, and s), numbers and pages."""

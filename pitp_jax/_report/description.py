@@ -1,4 +1,4 @@
-"""A model in plain values: what it is, its numbers with units and standard errors, its modes and its effects."""
+"""A model in plain values: its kind, coefficients with units and standard errors, modes and effects."""
 
 import math
 
@@ -14,7 +14,7 @@ from .numbers import number
 
 
 def modes(model: Fitted) -> list[dict]:
-    """Every real pole and pole pair of the nominal: natural frequency in Hz and damping, ascending."""
+    """Return every real pole and pole pair of the nominal: natural frequency in Hz and damping, ascending."""
     a = model.physical_coefficients
     roots = [complex(r) for r in np.roots(a[::-1]) if r.imag >= 0 and abs(r) > 0]
     return [
@@ -24,7 +24,7 @@ def modes(model: Fitted) -> list[dict]:
 
 
 def describe(model: Fitted, units: Units | None = None) -> dict:
-    """Describe a model in plain values, for `pitp info` and its JSON, in its own units or in others of their kinds."""
+    """Return a model in plain values, for `pitp info` and its JSON, in its own or in other units."""
     domain, origin, units = model.domain, model.origin, units or units_of(model)
     factors, names = zip(*(units.coefficient(i) for i in range(model.order + 1)), strict=True)
     return {
@@ -55,7 +55,7 @@ def describe(model: Fitted, units: Units | None = None) -> dict:
 
 
 def fallback_line(training: dict | None) -> str | None:
-    """Return the sentence that says what stands in for a failed training, or None where none failed."""
+    """Return a sentence on the model that replaces a failed training, or None if none failed."""
     if not training or not training.get("fallback"):
         return None
     if "itself" in training["fallback"]:
@@ -64,7 +64,7 @@ def fallback_line(training: dict | None) -> str | None:
 
 
 def _described(model: Fitted, effect, units: Units) -> dict:
-    """Name, form and numbers in physical units."""
+    """Return name, form and parameters of an effect in physical units."""
     numbers = {p.name: physical(model, p, float(v), units) for p, v in effect.numbers()}
     return {
         "effect": effect.name,
@@ -74,13 +74,13 @@ def _described(model: Fitted, effect, units: Units) -> dict:
 
 
 def in_words(effect: dict) -> str:
-    """An effect of `describe` in one line."""
+    """Return an effect of `describe` in one line."""
     numbers = ", ".join(f"{k} {number(v['value'])} {v['unit']}" for k, v in effect["parameters"].items())
     return f"{effect['effect']} ({effect['form']}): {numbers}"
 
 
 def sensor_line(model: Fitted) -> str:
-    """Say what the sensor reads at zero input, and whether it is reversed."""
+    """Return a sentence on the sensor's reading at zero input, and on a reversed sensor."""
     units = units_of(model)
     line = f"The sensor reads {units.output.text(float(model.output.offset))} at 0 {units.input.unit}"
     if model.output.polarity > 0:

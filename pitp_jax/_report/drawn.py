@@ -18,20 +18,26 @@ def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, n
     Args:
         folder: where `figures/` is made if it is missing.
         name: of the figure.
-        drawn: it.
-        columns: its numbers; None takes what its axes hold (axes, series, x, y).
+        drawn: the figure.
+        columns: its numbers; None takes those of its axes (axes, series, x, y).
 
     Raises:
         BadInput: a file cannot be written.
     """
     home = folder / FIGURES
-    home.mkdir(exist_ok=True)
-    drawn.savefig(home / f"{name}.png", dpi=150)
+    write_picture(folder, name, drawn)
     if columns is not None:
         write_csv(home / f"{name}.csv", columns)
         return
     rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(drawn)]
     write_text_atomic(home / f"{name}.csv", "\n".join(["axes,series,x,y", *rows]) + "\n")
+
+
+def write_picture(folder: Path, name: str, drawn: Figure) -> None:
+    """Write `figures/NAME.png` into a folder."""
+    file = folder / FIGURES / f"{name}.png"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    drawn.savefig(file, dpi=150)
 
 
 def _rows(drawn: Figure) -> Iterator[tuple[str, str, float, float]]:

@@ -47,7 +47,7 @@ th{color:var(--soft);font-weight:600}
 th:first-child,td:first-child,.left,.long{text-align:left}
 .long{min-width:8rem}
 @media(max-width:50rem){table,tbody,tr,td{display:block}
-thead{display:block}thead tr{border:0}th{display:inline-block;border:0;padding:.1rem .6rem .1rem 0}
+thead{display:none}
 tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.long,td:first-child{min-width:0}
 td,td.long,td.left{display:flex;justify-content:space-between;gap:1rem;text-align:right;border:0;padding:.08rem 0}
 td::before{content:attr(data-label);color:var(--soft);text-align:left;flex:none;max-width:45%}
@@ -62,7 +62,7 @@ _COLORS = {"#000000": "--ink", "#e6e6e6": "--grid", "#a6a6a6": "--seen", "#0072b
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """The page around its parts, which are HTML already."""
+    """Return the page around its parts, which are HTML already."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -73,12 +73,12 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 
 def tag(name: str, text: str, css: str = "") -> str:
-    """An element around escaped text; no line breaks between a number and its %."""
+    """Return an element around escaped text, without line breaks between a number and its %."""
     return f"<{name}{_class(css)}>{_text(text)}</{name}>"
 
 
 def link(place: str, text: str) -> str:
-    """A line that leads to another page, by its path from this one."""
+    """Return a line with a link to another page, by its path from this one."""
     return f'<p><a href="{escape(quote(place))}">{_text(place)}</a> {tag("span", text, "soft")}</p>'
 
 
@@ -91,17 +91,17 @@ def _class(css: str) -> str:
 
 
 def card(heading: str, big: str, *lines: str) -> str:
-    """A box that answers one question: its short answer large, then lines that are HTML already."""
+    """Return a box that answers one question: its short answer large, then lines that are HTML already."""
     return f'<section class="card">{tag("h3", heading)}{tag("p", big, "big")}{"".join(lines)}</section>'
 
 
 def bullets(lines: Sequence[str]) -> str:
-    """A list of plain texts; nothing where there are none."""
+    """Return a list of plain texts; empty without texts."""
     return f"<ul>{''.join(tag('li', line) for line in lines)}</ul>" if lines else ""
 
 
 def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """A table that is never wider than the page; on a narrow one every row becomes a list of named values.
+    """Return a table that is never wider than the page; on a narrow page each row becomes a list of named values.
 
     Args:
         header: names of the columns.
@@ -121,28 +121,28 @@ def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css:
 
 
 def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """The same without columns in which every row has a dash or a zero."""
+    """Return a table without the columns that contain only dashes or zeros."""
     told = [k for k in range(len(header)) if any(cells[k] not in ("–", "0", "") for _, cells in rows)]
     kept = [(kind, [cells[k] for k in told]) for kind, cells in rows]
     return table([header[k] for k in told], kept, {i: css[k] for i, k in enumerate(told) if k in css})
 
 
 def picture(name: str, drawn: Figure, caption: str) -> str:
-    """A figure as inline SVG with a caption; its black, greys and blue follow the page's colours.
+    """Return a figure as inline SVG with a caption; its black, greys and blue follow the page's colours.
 
     Args:
         name: unique on the page.
-        drawn: any figure; it is redrawn so narrow that its text can be read on a telephone.
+        drawn: any figure; it is redrawn narrow enough for its text to be readable on a telephone.
         caption: one sentence.
     """
     _made_small(drawn)
-    with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):  # the same result is the same page
+    with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):  # so that the same result gives the same page
         text = io.StringIO()
         drawn.savefig(text, format="svg", transparent=True, metadata={"Date": None})
     svg = text.getvalue()
     svg = re.sub(r"<metadata>.*?</metadata>", "", svg[svg.index("<svg") :], flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->|\s+xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
-    svg = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\d\.\d)\d+", r"\1", d[0]), svg)  # a tenth of a point is enough
+    svg = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\d\.\d)\d+", r"\1", d[0]), svg)  # a tenth of a point is sufficient
     svg = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", svg)
     for color, role in _COLORS.items():
         svg = svg.replace(color, f"var({role})")
@@ -151,13 +151,13 @@ def picture(name: str, drawn: Figure, caption: str) -> str:
 
 
 def _made_small(drawn: Figure) -> None:
-    """Text of at least 8.5 points on 3.55 inches (11 px on a screen of 390), lines of at most `_SAMPLES` samples."""
+    """Shrink to 3.55 inches with text of at least 8.5 points, and lines to at most `_SAMPLES` samples."""
     wide, high = drawn.get_size_inches()
-    drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels leave no room to draw in
+    drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels would fill the plot
     for ax in drawn.axes if len(drawn.axes) > 1 else ():
-        ax.set_ylabel(ax.get_ylabel().replace(" (", "\n("))  # two panels' labels would run into one another
+        ax.set_ylabel(ax.get_ylabel().replace(" (", "\n("))  # labels of two panels would overlap otherwise
     for axis in (a for ax in drawn.axes for a in (ax.xaxis, ax.yaxis) if a.get_scale() == "log"):
-        axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent could not be read
+        axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent is unreadable
         axis.set_minor_formatter(lambda value, _: "")
     for text in drawn.findobj(Text):
         text.set_fontsize(max(float(text.get_fontsize()), _POINT))

@@ -1,7 +1,7 @@
-"""Lines, axes and units of the figures: what every function of `paper_figures` needs.
+"""Lines, axes and units shared by the functions of `paper_figures`.
 
-A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order:
-more than a printed figure can resolve, no peak lost, and 200,000 samples draw at once.
+A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order: more than
+a printed figure resolves, without losing a peak; 200,000 samples are drawn quickly.
 """
 
 import numpy as np
@@ -15,16 +15,17 @@ from .numbers import shown_unit
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 BINS = 1200
+_PERIODS, _DRAWN_PERIODS = 25, 12  # of a sine: more than the first make a solid block; the second is then drawn
 _SMALL = 8.0  # points: ticks and legends; labels are one point larger
 _UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
 _ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
 
 
 def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Where each of `bins` equal stretches of a signal is smallest and largest.
+    """Return where each of `bins` equal parts of a signal is smallest and largest.
 
     Args:
-        values: signal, shape (T,); nan where missing, and passed over.
+        values: signal, shape (T,); nan where missing, which is ignored.
         bins: number of stretches, fewer where T is smaller.
 
     Returns:
@@ -35,7 +36,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """As `extremes`, over stretches widened to whole oscillations: nothing of the motion itself is left in it.
+    """Return the indices of `extremes` over parts widened to whole oscillations, which draw only the envelope.
 
     A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
     neighbours is a ripple within an oscillation.
@@ -61,7 +62,7 @@ def _least_and_most(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> 
 
 
 def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
-    """Indices of the samples that draw a line: all of a short one, else its ends and each bin's extremes."""
+    """Return indices of the samples that draw a line: all of a short one, otherwise its ends and extremes."""
     if len(values) <= 4 * bins:
         return np.arange(len(values))
     low, high = extremes(values, bins)
@@ -69,19 +70,41 @@ def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
 
 
 def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
-    """Draw one signal (T,) over `across` (T,), thinned where it is long."""
+    """Draw one signal (T,) over `across` (T,), thinned if it is long."""
     kept = thin(values)
     ax.plot(across[kept], values[kept], **style)
 
 
+def some_periods(values: np.ndarray) -> slice:
+    """Return the samples of a signal to draw: all, or some periods of its middle if more would make a solid block.
+
+    Args:
+        values: signal, shape (T,); nan where missing.
+
+    Returns:
+        samples: all of a signal with few periods, and of one whose periods differ (a chirp).
+    """
+    y = np.nan_to_num(values - np.nanmean(values)) if np.isfinite(values).any() else np.zeros(len(values))
+    sides = np.where(np.abs(y) > 0.1 * np.ptp(y), np.sign(y), 0.0)
+    places = np.flatnonzero(sides)
+    turns = places[1:][np.diff(sides[places]) != 0]
+    if len(turns) <= 2 * _PERIODS:
+        return slice(None)
+    short, long = np.quantile(np.diff(turns), (0.1, 0.9))
+    if long > 2 * short:
+        return slice(None)
+    first = len(turns) // 2 - _DRAWN_PERIODS
+    return slice(int(turns[first]), int(turns[first + 2 * _DRAWN_PERIODS]) + 1)
+
+
 def over(values: np.ndarray) -> dict:
-    """Style of a line over another: dashed while its dashes can be told apart, see-through where it fills a band."""
+    """Return the style of a line over another: dashed if dashes are visible, transparent if it fills a band."""
     turns = np.count_nonzero(np.diff(np.diff(values) > 0))
     return {"ls": "--"} if turns < 25 else {"alpha": 0.6} if turns > 200 else {}
 
 
 def shown(unit: str, *signals) -> list[np.ndarray]:
-    """Signals in the unit they are shown in; refuses an unknown unit and unequal lengths."""
+    """Return signals in the unit shown; refuse an unknown unit and unequal lengths."""
     if unit not in _UNITS:
         raise ValueError(f"no output unit {unit!r}; there are {', '.join(_UNITS)}")
     arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
@@ -90,12 +113,12 @@ def shown(unit: str, *signals) -> list[np.ndarray]:
 
 
 def output_label(unit: str) -> str:
-    """Axis label of the output."""
+    """Return the axis label of the output."""
     return _UNITS[unit][1]
 
 
 def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
-    """An error (mm or V) as it is shown, in µm or mV where it stays below 0.05, and its axis label."""
+    """Return an error (mm or V) as shown, in µm or mV if it stays below 0.05, and its axis label."""
     small = np.nanmax(np.abs(error), initial=0.0) < 0.05
     return error * (1e3 if small else 1.0), _ERRORS[unit][int(small)]
 
@@ -107,7 +130,7 @@ def same_length(*arrays: np.ndarray) -> None:
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
-    """Input (base unit) as it is shown, and its axis label: a voltage in kV from 2 kV on, any other in its own unit."""
+    """Return an input (base unit) as shown, and its axis label: a voltage in kV from 2 kV on."""
     voltage = np.asarray(voltage, dtype=np.float64)
     if base_unit(unit) != "V":
         return from_base(voltage, unit), f"input ({shown_unit(unit)})"
@@ -117,7 +140,7 @@ def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
 
 
 def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.ndarray:
-    """The caller's axes as an array (rows,), or those of a new figure of `size` inches, sharing time."""
+    """Return the caller's axes as an array (rows,), or those of a new figure of `size` inches, sharing time."""
     if axes is None:
         figure = Figure(figsize=size, layout="constrained")
         ratios = {"height_ratios": heights} if heights else {}
@@ -130,9 +153,9 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
 
 
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
-    """Labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
+    """Add labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
 
-    Axes under each other share `across`: the lowest alone numbers it.
+    Stacked axes share `across`: only the lowest shows its numbers.
     """
     for ax, label in zip(axes, upward, strict=True):
         ax.set_ylabel(label, fontsize=_SMALL + 1)
@@ -143,7 +166,7 @@ def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> No
         ax.tick_params(labelbottom=ax is axes[-1])
     axes[-1].set_xlabel(across, fontsize=_SMALL + 1)
     if labels := axes[0].get_legend_handles_labels()[1]:
-        fitting = max(48 // (max(map(len, labels)) + 6), 1)  # a line of a narrow page has some 48 letters
+        fitting = max(48 // (max(map(len, labels)) + 6), 1)  # a line of a narrow page has about 48 letters
         axes[0].legend(
             loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=min(legend_columns, fitting), frameon=False,
             fontsize=_SMALL, borderaxespad=0.1,

@@ -1,6 +1,6 @@
-"""Rounded numbers as people read them.
+"""Rounded numbers as text.
 
-value +- stderr     two digits of the standard error where it begins with 1, else one; the value to the same place
+value +- stderr     two digits of the standard error if it begins with 1, otherwise one; the value to the same digit
 """
 
 import math
@@ -9,12 +9,12 @@ _DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """A number for the terminal, in ASCII; a dash where there is none."""
+    """Return a number for the terminal, in ASCII; a dash if there is none."""
     return "-" if value is None or value != value else f"{value:.{digits}g}"
 
 
 def figure(value: float | None, digits: int = 3) -> str:
-    """A number with so many digits, powers of ten written out; a dash where there is none."""
+    """Return a number with this many digits, powers of ten written out; a dash if there is none."""
     if value is None or not math.isfinite(value):
         return "–"
     if value and not 1e-3 <= abs(value) < 1e6:
@@ -25,7 +25,7 @@ def figure(value: float | None, digits: int = 3) -> str:
 
 
 def percent(share: float | None) -> str:
-    """A share as a percentage without decimals, but for the last one before all."""
+    """Return a fraction as a percentage without decimals, except between 98.5 and 100 %."""
     if share is None or not math.isfinite(share):
         return "–"
     text = f"{100 * share:.1f}" if 0.985 < share < 0.9995 else f"{100 * share:.0f}"
@@ -33,7 +33,7 @@ def percent(share: float | None) -> str:
 
 
 def interval(low: float, high: float) -> str:
-    """A 95 % interval of shares; one more digit where its ends would read alike."""
+    """Return a 95 % interval of fractions; one more digit if its ends would look equal."""
     ends = [percent(low), percent(high)]
     if ends[0] == ends[1] and low < high:
         ends = [f"{100 * end:.1f} %".replace("-", "−") for end in (low, high)]
@@ -41,12 +41,12 @@ def interval(low: float, high: float) -> str:
 
 
 def of_range(value: float | None) -> str:
-    """An error in % of range."""
+    """Return an error in % of range."""
     return f"{figure(value, 2 if value is not None and value < 10 else 3)} %"
 
 
 def with_error(value: float, stderr: float | None, unit: str) -> str:
-    """`0.4781 ± 0.0002 ms`; without ± where the standard error is not known."""
+    """Return `0.4781 ± 0.0002 ms`; without ± if the standard error is unknown."""
     if not stderr or not math.isfinite(stderr):
         return f"{figure(value)} {unit}".strip()
     size = max(abs(value), stderr)  # a value smaller than its error is written in the error's power of ten
@@ -61,7 +61,7 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
 
 
 def with_interval(value: float, low: float, high: float, unit: str) -> str:
-    """`0.4781 s (0.4777 to 0.4785)`; digits as for a standard error of a quarter of the interval's width."""
+    """Return `0.4781 s (0.4777 to 0.4785)`; digits as for a standard error of a quarter of the interval's width."""
     width = (high - low) / 4
     if not width or not math.isfinite(width):
         return f"{figure(value)} {unit}".strip()
@@ -75,7 +75,7 @@ def with_interval(value: float, low: float, high: float, unit: str) -> str:
 
 
 def shown_unit(unit: str) -> str:
-    """A unit as it is printed."""
+    """Return a unit as it is printed."""
     return unit.replace("um", "µm").replace("^2", "²").replace("^3", "³")
 
 

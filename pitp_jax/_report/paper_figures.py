@@ -1,6 +1,6 @@
-"""The paper's figures, on axes the caller may own: data in m, V and s, shown in mm, V or kV, and s.
+"""The paper's figures, on axes the caller may supply: data in m, V and s, shown in mm, V or kV, and s.
 
-Every function returns the axes it drew on and makes a `Figure` of its own where none were given (save it with
+Every function returns the axes it drew on and makes its own `Figure` if none were given (save it with
 `ax.figure.savefig`, or `axes[0].figure.savefig`). No pyplot, no global style; colours from Okabe and Ito.
 """
 
@@ -31,7 +31,7 @@ _TIME = "time (s)"
 
 
 def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_hz=None, unit: str = "m") -> Axes:
-    """Measured sweep with the envelope of the identified model (the paper's Fig. 6).
+    """Draw a measured sweep with the envelope of the identified model (the paper's Fig. 6).
 
     Args:
         time: sample times in s, shape (T,).
@@ -61,7 +61,7 @@ def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_h
 
 
 def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.ndarray:
-    """Measured and predicted output, the error beneath (the paper's Fig. 8).
+    """Draw measured and predicted output, and the error beneath (the paper's Fig. 8).
 
     Args:
         time: sample times in s, shape (T,).
@@ -86,10 +86,10 @@ def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.n
 
 
 def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, label: str = "", unit: str = "m") -> Axes:
-    """Output over voltage (the paper's Fig. 10); called again on the same axes it adds the next frequency.
+    """Draw output over voltage (the paper's Fig. 10); another call on the same axes adds the next frequency.
 
     Args:
-        voltage: drive voltage in V, shape (T,); best of one settled period.
+        voltage: input voltage in V, shape (T,); best of one settled period.
         measured: output in `unit`, shape (T,).
         predicted: output of the model, shape (T,).
         ax: where to draw; None makes a figure.
@@ -113,12 +113,12 @@ def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, la
 
 
 def tokens(time, tokens, names, axes=None) -> np.ndarray:
-    """Tokens of a model over time (the paper's Fig. 7), each on its own axes.
+    """Draw the tokens of a model over time (the paper's Fig. 7), each on its own axes.
 
     Args:
         time: sample times in s, shape (T,).
-        tokens: what the encoder gave at each sample, shape (T, k), in any unit.
-        names: what to write beside each, k of them, unit included.
+        tokens: tokens at each sample, shape (T, k), in any unit.
+        names: labels of the k tokens, with units.
         axes: k axes; None makes a figure.
 
     Returns:
@@ -135,13 +135,13 @@ def tokens(time, tokens, names, axes=None) -> np.ndarray:
 
 
 def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> np.ndarray:
-    """Tracking of a trajectory: motion, error, and the feedforward voltage (the paper's Fig. 13).
+    """Draw the tracking of a trajectory: motion, error, and feedforward voltage (the paper's Fig. 13).
 
     Args:
         time: sample times in s, shape (T,).
         target: wanted output in `unit`, shape (T,).
-        achieved: what the actuator did, shape (T,); nan where missing.
-        voltage: the voltage that was applied in V, shape (T,).
+        achieved: measured output, shape (T,); nan where missing.
+        voltage: the applied voltage in V, shape (T,).
         axes: three axes; None makes a figure.
         unit: `m`, or `V` for an electronic output.
 

@@ -1,10 +1,10 @@
-"""Simulation: a model and a voltage in, the displacement out (paper, eq. 7).
+"""Simulation: computes the displacement of a model under a voltage (paper, eq. 7).
 
     x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4, tokens frozen over half a step ahead
 
 Verbs: `rollout` (a voltage, in the rig's units), `predict` (whole sets of records, likewise), `rollout_scaled` (states
-in the model's coordinates, pure and differentiable). `batched_rollout` is the same map made faster
-over records; `ports` says where effects act.
+in the model's coordinates, pure and differentiable). `batched_rollout` is the same function, faster for many records;
+`ports` applies the effects.
 """
 
 from .decoder import rest_state as rest_state

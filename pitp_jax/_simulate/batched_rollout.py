@@ -1,9 +1,10 @@
-"""Roll the decoder out at the speed of its arithmetic: the RK4 step of `decoder` over rows of records.
+"""Fast rollout: the RK4 step of `decoder` over rows of records.
 
     s_{t+1} = s_t + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4),   tokens frozen at the drifted midpoint
 
-The states of `decoder.rollout` to rounding. Records are rows, nets are written out, and walls stand behind the tokens,
-so nothing is computed twice: the fastest way for one record, for many and under `vmap` (docs/decisions/decoder.md).
+The states equal those of `decoder.rollout` to rounding. Records are rows, nets are written out, and optimisation
+barriers follow the tokens, so nothing is computed twice. This is the fastest way for one record, for many and under
+`vmap` (docs/decisions/decoder.md).
 """
 
 import jax
@@ -34,11 +35,11 @@ def fast_rollout(
 ) -> Float[Array, "records time state"]:
     """Compute the scaled states at every sample of every record, as `decoder.rollout_batch`.
 
-    Models with effects, or with an encoder too large to write out, take the plain way.
+    Models with effects, or with an encoder too large to write out, use `rollout_batch` itself.
     """
     if not in_rows(model):
         return rollout_batch(model, voltage, dt, start)
-    # the film's voltage depends on u alone: it is known for the whole record before the scan
+    # the film's voltage depends on u alone, so it is known for the whole record before the scan
     film = jax.vmap(lambda u, r: model.drive.film(u, dt, r))(voltage, at_rest(model, start))
     return rows_rollout(model, film, dt, start)
 
@@ -47,13 +48,13 @@ def fast_rollout(
 def free_runs(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> tuple[Float[Array, "records time state"], Float[Array, "records time"]]:
-    """Compute the scaled states of every record, and what the sensor reads of them, in one program."""
+    """Compute the scaled states and the sensor's scaled readings of every record, in one program."""
     states = fast_rollout(model, voltage, dt, start)
     return states, jax.vmap(lambda s: ports.readings(model, s))(states)
 
 
 def in_rows(model: Model) -> bool:
-    """Tell whether a model's records can run as rows: no effects, and an encoder small enough to be written out."""
+    """Return whether a model's records can run as rows: no effects, and a small encoder."""
     return not model.effects and isinstance(plain(model.encoder), CompactEncoder | ConstantEncoder)
 
 
@@ -69,16 +70,16 @@ def rows_rollout(
     start: Float[Array, "records state"],
     unroll: int | None = None,
 ) -> Float[Array, "records time state"]:
-    """Roll out from film voltages on; coefficients and an adapted encoder's factors may differ from row to row.
+    """Roll out from film voltages; coefficients and an adapted encoder's factors may differ between records.
 
-    They then have a last axis for the records. `unroll`: samples an iteration, by default `steps_at_once`.
+    The tables then have a last axis for the records. `unroll`: samples per iteration, by default `steps_at_once`.
     """
-    # records last: a scan steps over the first axis, and a row of records is contiguous
+    # records last, because a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
     h, constant, logits = dt / model.substeps, motion_of(model), model.encoder.over()
 
     def one(state, three):
-        # tokens at the midpoint, then frozen: four evaluations of the encoder a step become one
+        # tokens at the midpoint, then frozen: one evaluation of the encoder per step instead of four
         frozen = held(*model.tokens_from(logits(midpoint(constant, state, h))))
         return moved(state, 1.0, runge_kutta(constant, state, frozen, three, h))
 

@@ -1,13 +1,14 @@
-"""Find how a record begins beside a model, from its first samples: state, zero and direction.
+"""Determine the initial state, sensor offset and direction of a record with a model, from its first samples.
 
-    rest     x(0) = 0, uncharged                         zero: the level of the first samples
-    held     tokens(x) x + offset = F(u(0)), memories settled there       zero: mean of y - d x
-    moving   state estimated from at most 50 samples     zero and direction: the model's
+    rest     x(0) = 0, uncharged                         offset: the level of the first samples
+    held     tokens(x) x + offset = F(u(0)), memories settled there       offset: mean of y - d x
+    moving   state estimated from at most 50 samples     offset and direction: the model's
 
-Still records (`initial_state`) are at rest or held, whichever run leaves less of the samples before the drive moves, or
-of the first 50; where neither explains them the record turns there, and moves. The direction is what these runs leave
-less with until the motion is plain of noise; the other one than the model's only where it explains that motion and
-leaves a fifth of what the model's leaves: a delay of half a period turns a motion over as well.
+A still record (`initial_state`) is at rest or settled, whichever simulation has the smaller residual before the input
+moves, or in the first 50 samples. If neither fits, the record is at a turning point and starts in motion. The direction
+is the one with the smaller residual once the motion exceeds the noise. The direction opposite to the model's is taken
+only if it explains that motion with at most a fifth of the model's residual, because a delay of half a period also
+inverts a motion.
 """
 
 from collections.abc import Sequence
@@ -36,20 +37,21 @@ from .._record.record import Record
 from . import ports
 from .decoder import rest_state, rollout_batch, step, still_state
 
-_AHEAD = 2048  # samples, of which beginning and direction are read
-_GRID, _ROUNDS, _FAR = 64, 4, 10.0  # scaled displacements among which an equilibrium is sought
-_PLAIN = 20.0  # noise floors that a motion must exceed before it tells a direction
-_HALF = 0.5  # of what rest leaves: from where a record that begins at the zero of 0 V began under a held drive instead
-_EXPLAINED = 0.2  # fraction of the first samples' motion that a model may miss and still explain how they begin
+_AHEAD = 2048  # samples from which initial state and direction are determined
+_GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
+_PLAIN = 20.0  # noise floors that a motion must exceed to show a direction
+_HALF = 0.5  # of the residual at rest: below it a record that starts at the 0 V offset started under a held voltage
+_EXPLAINED = 0.2  # fraction of the first samples' motion that a model may miss and still explain the initial state
 
 
 @jit
 def held_states(
     model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
 ) -> Float[Array, "records state"]:
-    """Solve for states settled for ever at these voltages; nan where no equilibrium lies within ten scales.
+    """Solve for states settled at these voltages; nan if no equilibrium lies within ten scales.
 
-    One decoder step from (x, 0, ...) changes x^(n-1) by nothing at an equilibrium; the sign changes there.
+    At an equilibrium, one decoder step from (x, 0, ...) does not change x^(n-1), and the sign of the change reverses
+    there.
     """
 
     def one(volts, age):
@@ -63,11 +65,11 @@ def held_states(
 
         low, high = jnp.asarray(-_FAR, voltage.dtype), jnp.asarray(_FAR, voltage.dtype)
         exists = jnp.asarray(True)
-        # nested grids, not Newton: with a snapping film there are several equilibria, of which the nearest to 0 is met
+        # Nested grids instead of Newton: a snapping film has several equilibria, and the one nearest to 0 is found.
         for _ in range(_ROUNDS):
             grid = jnp.linspace(low, high, _GRID)
             up = jax.vmap(change)(grid) > 0
-            turns = up[:-1] & ~up[1:]  # driven up below it and down above it: stable
+            turns = up[:-1] & ~up[1:]  # accelerated up below it and down above it: stable
             place = jnp.argmin(jnp.where(turns, jnp.abs(grid[:-1]), jnp.inf))
             exists = exists & turns.any()
             low, high = grid[place], grid[place + 1]
@@ -86,9 +88,9 @@ def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, 
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
-    """Find how every record begins, and its state where that is rest or held (None: moving)."""
+    """Return how every record starts, and its state if at rest or held (None: moving)."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
-    # Nothing happens while drive and reading stand: a run from the end of that stretch is the whole run's
+    # Nothing changes while input and reading are constant, so a run from the end of that stretch equals the whole run.
     settled = [settled_samples(r, model.natural_frequency) for r in records]
     first = [
         max(count - INITIAL_SAMPLES, 0) if count < r.samples else 0 for count, r in zip(settled, records, strict=True)
@@ -107,14 +109,14 @@ def beginnings(
 
 
 def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], begin: int, settled: bool) -> Beginning:
-    """Choose the kind whose run leaves least of the first samples; zero and direction with it.
+    """Choose the initial state whose run leaves the smallest residual of the first samples, with offset and direction.
 
     Args:
-        model: whose runs they are.
+        model: used for the runs.
         record: in base units.
-        runs: displacement from rest and from held, m, shapes (time,), from sample `begin` on.
-        begin: where the runs begin; before it nothing moves.
-        settled: whether the data show a record that stands at first, which no misfit of the model makes a moving one.
+        runs: displacement from rest and from a settled start, m, shapes (time,), from sample `begin` on.
+        begin: first sample of the runs; nothing moves before it.
+        settled: whether the data show an initially still record, which a misfit of the model cannot make a moving one.
     """
     zero, polarity = float(model.output.offset), float(model.output.polarity)
     y, omega = record.displacement[begin : begin + _AHEAD], model.natural_frequency
@@ -123,13 +125,13 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
         return Beginning("moving", polarity, zero, float("inf"))
     moved = np.abs(record.voltage[begin : begin + _AHEAD] - record.voltage[0]) > 1e-3 * np.ptp(record.voltage)
     first = max(int(np.argmax(moved)) if moved.any() else len(y), min(INITIAL_SAMPLES, len(y)))
-    # the median of a few samples, so that one outlier is no level; 2 % of the range, so that hum is no motion
+    # the median of a few samples, so that one outlier is not a level; 2 % of the range, so that hum is not a motion
     plain = np.abs(y - np.nanmedian(y[:8])) > max(_PLAIN * noise, 0.02 * span)
     seen = min(max(int(np.argmax(plain)) + INITIAL_SAMPLES if plain.any() else len(y), first), len(y))
 
     def unexplained(begins: Begins, direction: float) -> float:
         error = y[:seen] - direction * runs[begins][:seen]
-        # the deviation, since the record's own zero is not known yet
+        # the deviation, because the record's own offset is not known yet
         return float(np.nanstd(error)) if np.isfinite(runs[begins][:seen]).all() else np.inf
 
     driven = standing_drive(record)[1] != 0
@@ -158,12 +160,12 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
 
 
 def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> list[Beginning]:
-    """Give held records the zero of the set's records at rest; `free` marks those whose zero stays their own.
+    """Give held records the offset of the set's records at rest; `free` marks those that keep their own.
 
     x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
 
-    Without it a held record says of the static curve what the model said before: its equilibrium gave the zero. A
-    sensor that was zeroed anew under the held drive reads no displacement there, which no factor of two explains.
+    Otherwise a held record would only repeat the model's static curve, because the model's equilibrium gave the offset.
+    A sensor that was zeroed under the held input reads no displacement there, which exceeds the factor of two.
     """
     known = sorted((b.zero, b.stderr) for b in begun if b.begins == "rest")
     if not known:
@@ -178,6 +180,6 @@ def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> 
 
 
 def first_level(record: Record) -> float:
-    """Compute y(0) from the window that tells it best."""
+    """Return y(0) from the window with the smallest standard error."""
     values, errors = first_states(record)
     return float(values[np.argmin(errors[:, 0]), 0])

@@ -1,12 +1,12 @@
-"""Decode: roll the model out from a voltage (paper, eq. 7).
+"""The decoder: simulate the model under a voltage (paper, eq. 7).
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
-    read where the state drifts to by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
+    tokens read at the state drifted by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
 
 The voltage between samples is squared inside every stage (`_numerics.intersample`). With frozen tokens a step is affine
-in the forces of its stages. Order 4 for constant tokens. Tokens read at a step's beginning (the paper) make a hard
-spring pump energy, explicit Euler's w^2 h^2 / 2 a step. Half a step on costs nothing and is order 2 against the
-continuous-token ODE, but for what depends on x^(n-1) (order 1). Figures: docs/decisions/decoder.md.
+in the forces of its stages. Order 4 for constant tokens. Tokens read at a step's beginning (the paper) add energy to a
+hard spring, w^2 h^2 / 2 a step as in explicit Euler. Reading them half a step later costs nothing and has order 2 for
+the continuous-token ODE, except for the dependence on x^(n-1) (order 1). Figures: docs/decisions/decoder.md.
 """
 
 from collections.abc import Callable
@@ -36,45 +36,45 @@ def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..
 
 
 def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Compute the film voltage (V) behind a scaled force."""
+    """Compute the film voltage (V) that gives a scaled force."""
     return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 
 def stage_fractions(model: Model) -> Float[np.ndarray, " stages"]:
-    """List the fractions of a sample at which the stages of a rollout stand: 2 substeps + 1, from 0 to 1."""
+    """Return the stage times of a rollout as fractions of a sample: 2 substeps + 1, from 0 to 1."""
     return np.arange(2 * model.substeps + 1) / (2 * model.substeps)
 
 
 def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
-    """Interpolate the film voltage at beginning, middle and end of every substep of a sample: 2 substeps + 1 stages."""
+    """Interpolate the film voltage at start, middle and end of every substep: 2 substeps + 1 stages."""
     return between(film, model.hold, stage_fractions(model), jnp)
 
 
 class Motion(NamedTuple):
-    """What is constant in how a state moves, to be computed before a scan: dX_i/dt over X_{i+1}, and the memory's."""
+    """Constants of the motion, computed before a scan: dX_i/dt over X_{i+1}, and the memory's rate."""
 
     rates: list[Array]
     memory: Callable[[Rows, Array], list[Array]]
 
 
 def motion_of(model: Model) -> Motion:
-    """Collect what is constant, in the model's precision: NumPy's float64 scales would promote every step."""
+    """Return the constants in the model's precision, because NumPy's float64 scales would promote every step."""
     return Motion(list(jnp.asarray(model.scales.rates, model.coefficients.dtype)), model.memory.rate())
 
 
 def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
-    """Freeze what a step holds: sigma_0 ... sigma_{n-1}, 1 / sigma_n, offset.
+    """Return the values that a step freezes: sigma_0 ... sigma_{n-1}, 1 / sigma_n, offset.
 
-    The reciprocal, since a division in every stage would cost a kernel.
+    The reciprocal is stored because a division in every stage would cost a kernel.
 
-    `together`: computed once and kept; XLA would fuse them into every row of the new state and compute them for each.
+    `together`: computed once and kept; otherwise XLA fuses them into every row of the new state and repeats them.
     """
     rows = [*tokens[:-1], 1 / tokens[-1], offset]
     return list(jax.lax.optimization_barrier(jnp.stack(rows))) if together else rows
 
 
 def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: float) -> State:
-    """Compute what one RK4 step of length h (s) adds under what is `held`.
+    """Return the increment of one RK4 step of length h (s) with the frozen values of `held`.
 
     `state`: S then memory, scaled, as rows (kernels of their own, for a scan) or as one array (to differentiate).
     """
@@ -82,14 +82,14 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
     *tokens, reciprocal, offset = frozen
 
     def slope(state, force) -> Any:  # of the state's kind
-        s, highest = list(state), force - offset  # x^(n) sigma_n, once the lower terms are taken off
+        s, highest = list(state), force - offset  # x^(n) sigma_n, after subtraction of the lower terms
         for token, row in zip(tokens, s, strict=False):
             highest = highest - token * row
         upper = [*s[1:n], highest * reciprocal]
         rows = [r * row for r, row in zip(rates, upper, strict=True)] + memory(s[n:], s[0])
         return rows if isinstance(state, list) else jnp.stack(rows)
 
-    # the classical tableau: 1/6, 2/6, 2/6, 1/6; both middle stages read the force at h/2
+    # the classical tableau: 1/6, 2/6, 2/6, 1/6; both middle stages use the force at h/2
     k1 = slope(state, forces[0])
     k2 = slope(moved(state, h / 2, k1), forces[1])
     k3 = slope(moved(state, h / 2, k2), forces[1])
@@ -98,20 +98,20 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
 
 
 def moved(state: State, by: float, slope: State) -> State:
-    """Move the state so far along a slope."""
+    """Return the state plus `by` times its rate of change."""
     return jax.tree.map(lambda a, b: a + by * b, state, slope)
 
 
 def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
-    """Compute what is known of the state half a step on, whatever the force: all but x^(n-1) has drifted."""
+    """Return the state half a step later as far as it is independent of the force: all but x^(n-1) has drifted."""
     n, still, half = len(motion.rates), state[len(motion.rates) - 1], [h / 2 * rate for rate in motion.rates]
-    # not h/2 (rate x'), which k2 has too: what both read would become a kernel of its own, 3 to 10 ms per 10,000
+    # Not h/2 (rate x'), which k2 contains too: the shared value would become a kernel, 3 to 10 ms per 10,000 steps.
     drifted = [x + by * v for x, by, v in zip(state[: n - 1], half, state[1:n], strict=False)]
     return [*drifted, still, *moved(list(state[n:]), h / 2, motion.memory(state[n:], state[0]))]
 
 
 def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
-    """Compute what one step adds, tokens read at the drifted midpoint."""
+    """Compute the increment of one step, with tokens at the drifted midpoint."""
     constant = motion_of(model)
     seen = jnp.stack(midpoint(constant, list(state), h))
     return runge_kutta(constant, state, held(*model.tokens_from(model.encoder(seen)), False), forces, h)
@@ -120,7 +120,7 @@ def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple,
 def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
     """Advance one sample along its stages: one(state, three of them) for every substep."""
     count = len(stages) // 2
-    if count > UNROLLED:  # a loop: written out, hundreds of substeps take minutes to compile
+    if count > UNROLLED:  # a loop, because hundreds of substeps written out take minutes to compile
         threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
         return jax.lax.scan(lambda s, three: (one(s, three), None), state, threes)[0]
     for k in range(count):
@@ -129,14 +129,14 @@ def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
 
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
-    """Advance one sample along its stage voltages: `substeps` RK4 steps, tokens read anew at each."""
+    """Advance one sample along its stage voltages: `substeps` RK4 steps, with new tokens at each."""
     return along(lambda s, volts: substep(model, s, volts, dt / model.substeps), state, stages)
 
 
 def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, logits=None):
-    """Take one RK4 step of length h (s) along three stage voltages, under the encoder's logits or others.
+    """Take one RK4 step of length h (s) along three stage voltages, with the encoder's logits or given ones.
 
-    Every effect's force is frozen beside the tokens, and its states are moved on after the step.
+    Every effect's force is frozen with the tokens, and its states advance after the step.
     """
     n, size = model.order, model.order + model.memory.size
     core, constant = list(state[:size]), motion_of(model)
@@ -147,7 +147,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
     films, parts = ports.films(model, ports.split(model, state[size:]), tuple(volts), h)
     forces = ports.coupled(model, tuple(scaled_force(model, v) for v in films), seen[0])
     rates = jnp.asarray(model.scales.rates, state.dtype)
-    # effects read the force at the middle of the step, as they read the drifted state
+    # effects use the force at the middle of the step, as they use the drifted state
     now = Instant(seen[:n], model.coefficients, rates, forces[1], h, jnp.stack(tokens), offset)
     now = ports.acted(model, parts, now)
     after = moved(core, 1.0, runge_kutta(constant, core, held(list(now.tokens), now.offset), forces, h))
@@ -155,7 +155,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
 
 
 def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
-    """Build the scaled state of an actuator that has been at rest for ever, at an age of the session in s.
+    """Return the scaled state of an actuator at rest, at an age of the session in s.
 
     Args:
         model: any.
@@ -174,32 +174,32 @@ def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Fl
 
 
 def at_rest(model: Model, start: Float[Array, "*records state"]) -> Bool[Array, "*records"]:
-    """Tell which starts are at rest, x = 0 without motion: their film is uncharged, that of all others settled."""
+    """Return which starts are at rest (x = 0 without motion); the film is then uncharged, otherwise settled."""
     return ~jnp.any(start[..., : model.order], axis=-1)
 
 
 def still_state(model: Model, x, voltage, age) -> Float[Array, " state"]:
-    """Build the state of an actuator that has stood at scaled displacement x under a voltage."""
+    """Return the state of an actuator settled at scaled displacement x under a voltage."""
     return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, voltage, age)
 
 
 def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:
-    """Complete S by memory and effects as after a long time at scaled displacement `level` under a voltage."""
+    """Complete S by memory and effects settled at scaled displacement `level` under a voltage."""
     return jnp.concatenate([state, model.memory.initial(level), ports.initial(model, level, voltage, age)])
 
 
 def rollout(
     model: Model | Fitted, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Float[Array, "time state"]:
-    """Roll one record out: scaled states at every sample under a drive voltage u, row 0 = `start`; vmap for more.
+    """Simulate one record: return scaled states at every sample of a voltage u, row 0 = `start`; vmap for more.
 
-    A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
+    A start at x = 0 without motion is rest: the film is uncharged. For any other start the film is settled at u(0).
 
     Args:
         model: any.
         voltage: V, shape (T,).
         dt: sampling interval, s; steps are the model's `substeps` a sample.
-        start: scaled, as `rest_state` gives it.
+        start: scaled, as returned by `rest_state`.
 
     Returns:
         scaled states (state, memory, effects), shape (T, n + K).
@@ -211,7 +211,7 @@ def rollout(
     """
     model = model_of(model)
     rest, voltage = at_rest(model, start), jnp.asarray(voltage, start.dtype)
-    dt = float(dt) if isinstance(dt, np.generic) else dt  # a float64 of numpy's would make one of everything
+    dt = float(dt) if isinstance(dt, np.generic) else dt  # a NumPy float64 would promote everything to float64
     voltage = model.drive.film(ports.delayed(model, voltage, dt, rest), dt, rest)
 
     def advance(state, stages):
@@ -224,5 +224,5 @@ def rollout(
 def rollout_batch(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """Roll records out side by side, compiled."""
+    """Simulate records side by side, compiled."""
     return eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0))(model, voltage, dt, start)

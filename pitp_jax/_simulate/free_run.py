@@ -1,4 +1,4 @@
-"""Run a model freely under a voltage, as a pure function of one recording: traced, differentiated and batched at will.
+"""Run a model freely under a voltage, as a pure function of one recording for tracing, gradients and batches.
 
 y = s scale_0 reading(rollout(u)),    s: sign of the displacement's coordinate (`_model.coordinate`)
 
@@ -27,7 +27,7 @@ def free_run(
     Args:
         model: any: identified, trained, with effects.
         voltage: shape (time,), V.
-        state: where it starts, scaled, as `rest_state` gives it; None starts at rest at 0 V.
+        state: initial state, scaled, as returned by `rest_state`; None starts at rest at 0 V.
 
     Returns:
         displacement, shape (time,), m (SI unit of the model's recordings): 0 at 0 V, growing as the actuator extends

@@ -1,4 +1,4 @@
-"""Apply a model's effects within one decoder step: where each port enters, and what its states become.
+"""Apply a model's effects within one decoder step, each at its port, and advance their states.
 
     u --IN--> V --map--> F --SQ--> coupled force;   tokens, offset --K, C, M, T--> frozen equation;   x --OUT--> y
 
@@ -21,12 +21,12 @@ _NEWTON = 4  # steps to the force of a term that depends on it
 
 
 def drives(model: "Model") -> list[Effect]:
-    """List what acts on the voltage sample by sample, in its order."""
+    """Return the effects on the voltage that act sample by sample, in order."""
     return [e for e in model.effects if e.port == "IN" and not e.delays]
 
 
 def sensors(model: "Model") -> list[Effect]:
-    """List what acts on the reading, in its order."""
+    """Return the effects on the reading, in order."""
     return [e for e in model.effects if e.port == "OUT"]
 
 
@@ -40,9 +40,9 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 
 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
-    """Set all effects' states of an actuator held at X under `voltage` (0 at rest); age and reach of the session."""
-    parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array where no effect has states
-    y = x  # what a sensor's effect receives: the reading of the one before it
+    """Return the initial states of all effects at X under `voltage` (0 at rest), for age and reach of the session."""
+    parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array if no effect has states
+    y = x  # the input of a sensor's effect: the reading of the one before it
     for effect in model.effects:
         sensor = effect.port == "OUT"
         held = effect.start(voltage if effect.port == "IN" else y if sensor else x, age)
@@ -52,7 +52,7 @@ def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " stat
 
 
 def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
-    """Set a decoder state to that of an actuator that the session has stretched to |X| = `reached` before."""
+    """Return a decoder state after the session has stretched the actuator to |X| = `reached` before."""
     first = model.order + model.memory.size
     parts = zip(model.effects, split(model, state[first:]), strict=True)
     return jnp.concatenate([state[:first], *(e.resumed(p, reached) for e, p in parts)])
@@ -62,13 +62,13 @@ def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> 
     """Shift the voltage by all delays."""
     for effect in model.effects:
         if effect.delays:
-            # before the record a rest was at 0 V; anything else is taken to have been at the first voltage
+            # before the record, a rest was at 0 V; any other start is assumed at the first voltage
             voltage = shifted(voltage, effect.time / dt, jnp.where(rest, 0.0, voltage[0]))
     return voltage
 
 
 def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
-    """Compute the film voltage at every sample of a drive u: delays, the model's own lag, then the drive's effects."""
+    """Compute the film voltage at every sample of u: delays, the model's own lag, then the effects on the voltage."""
     film = model.drive.film(delayed(model, voltage, dt, rest), dt, rest)
     for effect in drives(model):
         begun = effect.start(jnp.where(rest, 0.0, film[0]))
@@ -83,11 +83,11 @@ def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> F
 
 
 def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, list]:
-    """Compute film voltages at the three stages of a step of length h; and the parts with the drive's states moved."""
+    """Compute film voltages at the three stages of a step of length h; return them and the advanced states."""
     parts = list(parts)
     for k, effect in enumerate(model.effects):
         if effect.port == "IN" and not effect.delays:
-            # stage by stage: a lag must be known at the middle of the step, where Runge-Kutta reads the force twice
+            # stage by stage: a lag must be known at the middle of the step, where Runge-Kutta uses the force twice
             states, volts = parts[k], [effect.apply(stages[0], parts[k])]
             for before, after in zip(stages[:-1], stages[1:], strict=True):
                 states = effect.advance(states, before, after, h / 2)
@@ -97,7 +97,7 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
 
 
 def coupled(model: "Model", forces: tuple, x) -> tuple:
-    """Compute what the structure feels of the stages' forces at X."""
+    """Compute the force on the structure from the stages' forces at X."""
     for effect in model.effects:
         if effect.port == "SQ":
             forces = tuple(effect.apply(f, x) for f in forces)
@@ -105,7 +105,7 @@ def coupled(model: "Model", forces: tuple, x) -> tuple:
 
 
 def acted(model: "Model", parts: list, now: Instant) -> Instant:
-    """Put every force effect into the frozen equation."""
+    """Add every force effect to the frozen equation."""
     for effect, states in zip(model.effects, parts, strict=True):
         if effect.forces:
             now = effect.act(states, now)
@@ -113,7 +113,7 @@ def acted(model: "Model", parts: list, now: Instant) -> Instant:
 
 
 def moved(model: "Model", parts: list, x, after, h) -> list:
-    """Advance the states of force and sensor effects after X ran from `x` to `after`.
+    """Advance the states of force and sensor effects after X moved from `x` to `after`.
 
     Sensors are a chain: each effect follows the reading of the one before it (a gain, then a lag: the lag of the gain).
     """
@@ -129,7 +129,7 @@ def moved(model: "Model", parts: list, x, after, h) -> list:
 
 
 def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
-    """Compute the scaled output that the sensor reads at a decoder state."""
+    """Compute the scaled sensor reading of a decoder state."""
     y = state[0]
     parts = split(model, state[model.order + model.memory.size :])
     for effect, states in zip(model.effects, parts, strict=True):
@@ -139,7 +139,7 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
 
 
 def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:
-    """Compute the scaled outputs that the sensor reads along a rollout."""
+    """Compute the scaled sensor readings along a rollout, shape (time,)."""
     return jax.vmap(lambda s: reading(model, s))(states) if model.effects else states[:, 0]
 
 
@@ -150,9 +150,9 @@ def required(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " time"]:
-    """Solve eq. 13 with effects: the film's scaled force along a wanted motion that starts at rest, at that age in s.
+    """Solve eq. 13 with effects: return the film's scaled force along a wanted motion from rest, shape (time,).
 
-    Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
+    The states of a force effect depend on x alone, so they are known along the motion; then couplings are divided out.
     """
     parts = along(model, equation[:, 0], dt, age)
     return jax.vmap(lambda *instant: needed(model, *instant))(parts, equation, features)
@@ -165,17 +165,17 @@ def along(model: "Model", x: Float[Array, " time"], dt: float, age: float | Floa
     def advance(parts, ends):
         return moved(model, parts, ends[0], ends[1], dt), parts
 
-    # the last advance has nowhere to go
+    # the last step needs no result
     return jax.lax.scan(advance, start, (x, jnp.append(x[1:], x[-1:])))[1]
 
 
 def needed(
     model: "Model", parts: list, row: Float[Array, " tokens"], features: Float[Array, " features"]
 ) -> Float[Array, ""]:
-    """Compute the film's scaled force at one instant of a wanted motion `row`, its effects in the states `parts`."""
+    """Compute the film's scaled force at one instant of a wanted motion `row`, with effects in the states `parts`."""
     n = model.order
     rates = jnp.asarray(model.scales.rates, row.dtype)
-    # along a motion there is no step; a tenth of the model's time scale says how sharply friction sets in at a turn
+    # A motion has no step, so a tenth of the model's time scale sets how sharply friction acts at a reversal.
     blunt = 0.1 / (rates[0] if n == 1 else jnp.sqrt(rates[0] * rates[-1]))
     still, zero = model.tokens(features), jnp.zeros_like(row[0])
 
@@ -184,7 +184,7 @@ def needed(
         now = acted(model, parts, now)
         return now.tokens @ row + now.offset
 
-    force = needs(zero)  # enough where no effect reads the force itself
+    force = needs(zero)  # sufficient if no effect depends on the force itself
     if any(e.spec.driven for e in model.effects):
         force = solve(lambda f: f - needs(f), zero, force, _NEWTON)
     for effect in reversed(model.effects):  # undone in the opposite order of `coupled`
@@ -194,13 +194,13 @@ def needed(
 
 
 def played(model: "Model", film: Float[Array, " time"], dt: float, exact: bool = False) -> Float[Array, " time"]:
-    """Compute the drive u for a smooth film voltage, through all drive effects, the model's own lag and delays.
+    """Compute the voltage u for a smooth film voltage, through all voltage effects, the model's own lag and delays.
 
     `exact`: the lag is undone sample by sample (`drive.undo`), not by its continuous equation.
     """
     for effect in reversed(drives(model)):
         film = effect.undo(film, dt)
-    # the model's own lag stands between its delays and the effects
+    # the model's own lag is between its delays and the effects
     film = model.drive.undo(film, dt, film[0]) if exact else model.drive.lead(film, dt)
     for effect in model.effects:
         if effect.delays:
@@ -209,14 +209,14 @@ def played(model: "Model", film: Float[Array, " time"], dt: float, exact: bool =
 
 
 def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Compute the scaled motion behind a wanted reading."""
+    """Compute the scaled motion for a wanted reading."""
     for effect in reversed(sensors(model)):
         reading = effect.undo(reading, dt)
     return reading
 
 
 def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
-    """Mark where a drive effect lets no such film voltage pass; each is asked about what leaves it."""
+    """Return where an effect on the voltage cannot give such a film voltage."""
     out = ~jnp.isfinite(film)
     for effect in reversed(drives(model)):
         out = out | ~effect.passes(film, dt)

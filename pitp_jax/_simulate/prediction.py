@@ -1,8 +1,8 @@
-"""Predict: run a model freely beside whole sets of records.
+"""Predict: run a model freely for sets of records.
 
     starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
 
-A rollout that leaves every range is a result, `diverged`, with nan from there on.
+A diverging rollout is a result, marked `diverged`, with nan after its divergence.
 """
 
 from collections.abc import Sequence
@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._errors import refuse_traced
-from .._model.fitted import Fitted, model_of
+from .._model.coverage import input_beyond, input_words
+from .._model.fitted import Fitted, fitted_of
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._model.programs import jit, on_device
@@ -29,8 +30,8 @@ from .beginnings import beginnings
 from .decoder import rollout, settled_state
 
 _BLOCK = 256  # samples: starts are estimated from whole blocks, so that few lengths are compiled
-_SLACK = 0.05  # of a trained range that does not count as outside it
-FAR = 1e4  # a scaled displacement beyond this has left every actuator's range: diverged
+_SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
+FAR = 1e4  # a run beyond this scaled displacement has diverged
 
 
 @jit
@@ -44,8 +45,8 @@ def estimate_start(
 ) -> Float[Array, " state"]:
     """Estimate the initial state of a record that starts moving, from its first samples (scaled).
 
-    Gauss-Newton on the rollout over S(0) and one level m at which every memory is taken to have settled, with a weak
-    prior (1e-3) towards the mean displacement and no motion.
+    Gauss-Newton on the rollout over S(0) and one level m at which every memory is assumed settled, with a weak prior
+    (1e-3) towards the mean displacement and no motion.
     """
     level = jnp.sum(jnp.where(observed, displacement, 0.0)) / jnp.maximum(jnp.sum(observed), 1)
 
@@ -63,33 +64,36 @@ def estimate_start(
         move = jnp.linalg.lstsq(jacobian, -error)[0]
         best = p + move
         better = jnp.sum(residual(best) ** 2) < jnp.sum(error**2)
-        # a shorter step where the full one overshoots; none where it is no number
+        # a shorter step if the full one overshoots; none if it is not finite
         return jnp.where(better, best, p + 0.2 * move * jnp.isfinite(move).all()), None
 
     return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
 
 
 def at_rate(model: Model, dt: float) -> Model:
-    """Give the model the substeps that this sampling interval asks for, never fewer than it has."""
+    """Return the model with the substeps that this sampling interval needs, never fewer than it has."""
     count = max(model.substeps * max(1, round(dt / model.dt)), substeps(model.physical_coefficients, dt))
     return replace(model, substeps=count) if count > model.substeps else model
 
 
 @dataclass(frozen=True)
 class Prediction(Shown):
-    """A free run beside one record.
+    """A free run of the model for one record.
 
     Attributes:
         name: of the record.
-        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,);
-            nan from the sample where the rollout left every range.
-        diverged: whether it did.
+        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,); nan from
+            the sample where the rollout diverged.
+        diverged: whether the rollout diverged.
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
-        scored: samples that count, shape (T,): all but those the initial state was estimated from.
-        outside_training_share: fraction of samples whose state lies outside the trained region.
-        outside_training: in which coordinates, by how much and when, in words; empty where none does.
+        scored: samples that count, shape (T,): all except those used to estimate the initial state.
+        outside_training_share: the larger of two fractions: of the samples, with a state outside the trained region;
+            of the input's energy, at frequencies and amplitudes that the model was not trained with.
+        outside_training: in which coordinates, by how much and when, in words; empty if inside.
+        not_excited: the sentence on the input's energy, where it is more than a tenth; otherwise empty.
         begins: "rest", "held" or "moving".
-        zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
+        zero, zero_stderr, direction: the record's own sensor offset and direction: measured = direction * x + zero (m
+            or V).
     """
 
     name: str
@@ -103,9 +107,10 @@ class Prediction(Shown):
     zero_stderr: float = 0.0
     direction: float = 1.0
     outside_training: str = ""
+    not_excited: str = ""
 
     def __repr__(self) -> str:
-        """Describe in one line what it predicts, and how the record was taken to begin."""
+        """Return one line: the range of the prediction, and the assumed initial state of the record."""
         seen = self.displacement[np.isfinite(self.displacement)]
         range_ = f"{seen.min():.4g} to {seen.max():.4g}" if len(seen) else "nothing"
         state = "diverged" if self.diverged else f"{100 * self.outside_training_share:.3g} % outside the trained region"
@@ -134,20 +139,28 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
         True
     """
     refuse_traced("predict", "free_run", model)
-    model = model_of(model)
+    fitted = fitted_of(model)
+    model = fitted.model
     check_set(records)
     model = at_rate(model, records[0].dt)
-    # beginnings are those of the whole set: a session's clock and reach span all lengths
+    # initial states over the whole set, because a session's clock and reach span all lengths
     runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
-    # by length: one long record would have all others padded to it
+    # by length; otherwise one long record would pad all others
     for places in alike(records):
         some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
         runs.update(zip(places, some, strict=True))
-    return tuple(runs[k] for k in range(len(records)))
+    return tuple(_beside_trained(fitted, record, runs[k]) for k, record in enumerate(records))
+
+
+def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
+    """Return the prediction with the fraction and the description of the input's untrained part."""
+    part = input_beyond(model, record.voltage, record.dt)
+    share = max(run.outside_training_share, part.fraction)
+    return replace(run, outside_training_share=share, not_excited=input_words(model, part))
 
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
-    """Predict records padded to one length; `starts`: of every record what `begin` says."""
+    """Predict records padded to one length; `starts`: the result of `begin` for every record."""
     size = -(-max(r.samples for r in records) // 1024) * 1024  # whole thousands: few lengths, few programs to compile
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
@@ -161,9 +174,9 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
 def starts(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Find initial states of all records, and from how many samples each was estimated (0: at rest or held).
+    """Return initial states of all records, and from how many samples each was estimated (0: at rest or held).
 
-    `aged`: whether their times are one session's (default: where no two overlap); else nothing is known of their age.
+    `aged`: whether their times are one session's (default: if no two overlap); otherwise their age is unknown.
     """
     return begin(model, records, aged)[:2]
 
@@ -171,7 +184,7 @@ def starts(
 def begin(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
-    """Find initial states as `starts` does, and how each record begins, with its zero and direction."""
+    """Return initial states as `starts` does, and how each record starts, with its offset and direction."""
     aged = session_clock(records) if aged is None else aged
     ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
@@ -181,7 +194,7 @@ def begin(
         starts.append(_estimated(model, record, age, samples) if state is None else state)
         spent.append(min(samples, record.samples))
     if aged and model.effects:
-        # what earlier records of the session stretched stays stretched (Mullins)
+        # stretch by earlier records of the session remains (Mullins)
         turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
         far = reaches(model, turned)
         starts = [ports.resumed(model, on_device(s), reach) for s, reach in zip(starts, far, strict=True)]
@@ -189,7 +202,7 @@ def begin(
 
 
 def reaches(model: Model, records: Sequence[Record]) -> list[float]:
-    """Find the largest scaled |x| of the session before every record; each has its own zero and direction taken out."""
+    """Return the largest scaled |x| of the session before every record, without the records' offsets and directions."""
     scale = model.scales.state[0]
     far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
     begins = [r.time[0] for r in records]
@@ -197,7 +210,7 @@ def reaches(model: Model, records: Sequence[Record]) -> list[float]:
 
 
 def initial_samples(model: Model, record: Record) -> int:
-    """Count the samples that the state of a moving start is estimated from.
+    """Return how many samples are used to estimate the state of a moving start.
 
     1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
     """
@@ -209,7 +222,7 @@ def initial_samples(model: Model, record: Record) -> int:
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
     """Estimate the state of a moving start from its first samples.
 
-    After a gap at the beginning these are behind it: the rollout reaches them from the start.
+    After an initial gap these samples follow the gap; the rollout starts before it.
     """
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]
@@ -217,12 +230,12 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     u = np.pad(record.voltage[:samples], (0, -len(record.voltage[:samples]) % _BLOCK), mode="edge")
     observed = np.isfinite(x)
     voltage, known = on_device(u, dtype), on_device(np.where(observed, x, 0.0), dtype)
-    now = on_device(age, dtype)  # an array: no program for every age
+    now = on_device(age, dtype)  # an array, so that not every age needs a program
     return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
 
 
 def outside_fraction(model: Model, features: np.ndarray) -> float:
-    """Compute the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
+    """Return the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
 
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
     in short records). A model without a region (identified only) returns 0.
@@ -233,13 +246,13 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
 
 
 def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
-    """Measure how far every feature lies outside its trained range, over that range; negative inside."""
+    """Return how far every feature lies outside its trained range, relative to that range; negative inside."""
     low, high = np.asarray(model.domain.region).T
     return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
 
 
 def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
-    """Say in which coordinates rows leave the box of training, by how much and when; empty where they do not.
+    """Return in words which coordinates leave the box of training, by how much and when; empty if none does.
 
     Args:
         model: its region is the box.
@@ -266,12 +279,13 @@ def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
 def _prediction(
     model: Model, record: Record, states: np.ndarray, seen: np.ndarray, spent: int, begun: Beginning
 ) -> Prediction:
-    """Read one record's prediction off a run; `states`, `seen`: scaled states and readings, longer than the record."""
+    """Return one record's prediction; `states`, `seen`: scaled states and readings, longer than the record."""
     states = states[: record.samples]
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
-    first = int(np.argmax(lost)) if lost.any() else record.samples  # nothing counts behind it, even if it came back
+    # after divergence nothing counts, even if the run returns
+    first = int(np.argmax(lost)) if lost.any() else record.samples
     x = np.full(record.samples, np.nan)
-    # the record's own zero and direction, not the model's: a session may have mounted the sensor anew
+    # the record's own offset and direction, because a session may have remounted the sensor
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
     scored = np.ones(record.samples, bool)
     scored[:spent] = False

@@ -1,4 +1,4 @@
-"""Roll a voltage out without a measurement: the displacement from the position at 0 V.
+"""Simulate a voltage without a measurement: the displacement from the position at 0 V.
 
 start (at rest, or settled at u(0)) -> rollout -> displacement in the one coordinate (`_model.coordinate`)
 """
@@ -23,22 +23,22 @@ def rollout(
     model: Model | Fitted, voltage: np.ndarray, dt: float | None = None, *,
     begins: Literal["rest", "held"] | None = None, start_time: float = 0.0, zero: Zero = "rest",
 ) -> np.ndarray:  # fmt: skip
-    """Roll out the displacement under a voltage: a free run without a record.
+    """Compute the displacement under a voltage: a free run without a record.
 
     Args:
         model: identified, trained, or with effects.
-        voltage: drive in V, shape (T,) or (runs, T).
-        dt: sampling interval in s; None is the model's own. A coarser one is converted by finer steps inside.
-        begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None is rest where u(0) = 0.
-        start_time: clock of the session at the first sample, s; matters to effects that age alone.
+        voltage: input in V, shape (T,) or (runs, T).
+        dt: sampling interval in s; None is the model's own. A coarser one is simulated with finer steps.
+        begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None: rest if u(0) = 0.
+        start_time: clock of the session at the first sample, s; used only by effects that age.
         zero: where the displacement is 0: "rest", at 0 V, growing as the actuator extends; "sensor", the sensor's own
             readings; or the value at 0 V.
 
     Returns:
-        displacement in base units (m), shape of `voltage`; nan from the sample where the run left every range.
+        displacement in base units (m), shape of `voltage`; nan from the sample where the run diverged.
 
     Raises:
-        BadInput: no model, a voltage that is no finite array of these shapes, no positive dt.
+        BadInput: not a model, a voltage that is not a finite array of these shapes, or a dt that is not positive.
 
     Examples:
         >>> x = pitp.rollout(model, 1000 * np.ones(200), dt=1e-3, begins="rest")
@@ -55,7 +55,7 @@ def rollout(
 
 
 def _checked(voltage, dt, begins) -> np.ndarray:
-    """Return the voltage as an array, or say all that is wrong in one line."""
+    """Return the voltage as an array, or raise one line with all problems."""
     problems = []
     try:
         drive = np.asarray(voltage, np.float64)
@@ -75,10 +75,10 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
-    """Roll out the model's own displacement (m), side by side, padded to whole thousands of samples."""
+    """Compute the model's own displacement (m) for all rows, padded to whole thousands of samples."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.domain.age(start_time)
-    # a record that begins under a voltage has most likely stood under it
+    # a record that starts under a voltage was most likely held there before
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
     rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))
     start = rest
@@ -90,4 +90,4 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = x * model.scales.state[0]
-    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that came back would be chance
+    return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that returns is a coincidence

@@ -1,8 +1,9 @@
-"""Files to columns: every format becomes names, units and numbers, and the columns that are wanted are chosen.
+"""Tables: turns files of every format into columns with names, units and numbers, and chooses the columns.
 
-    file -> guard (size, links, archives) -> tables that its bytes may mean -> choice of time, input and output
+    file -> guard (size, links, archives) -> possible tables -> choice of time, input and output
 
-What is certain is recognised, the rest is asked for with the command that answers, and what the user says wins.
+Certain columns are recognised. For the others the user is asked, with a command that answers the question. The user's
+options take precedence.
 """
 
 from .columns import Loaded as Loaded

@@ -1,9 +1,9 @@
-"""Which column of a table is the time, the input, the output, and in which unit.
+"""Choose the columns of time, input and output in a table, and their units.
 
 exact name (voltage_V)  >  unit of its kind (V with a length)  >  units of other machines  >  by name  >  ask
 
-The first of these with a column decides; with more than one column it asks. A named column without a unit competes
-with one that has a unit and no name. Two statements of a unit that disagree are asked about.
+The first of these rules with a column decides; with more than one column the user is asked. A named column without a
+unit competes with one that has a unit and no name. If two statements of a unit disagree, the user is asked.
 """
 
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ from .refusal import Refused
 from .table import Column, Table
 from .units import column_names, kind_of, spelt, to_base, units_of
 
-_EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # what drives, the likelier first
+_EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # candidates for the input, the likelier first
 _MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
 _ROLE = {"time": "time", "voltage": "input", "displacement": "output"}
 _WORD = {
@@ -28,21 +28,21 @@ _WORD = {
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
-_SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are no seconds for certain
+_SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are certainly not seconds
 _EPOCH = 1e9, 4e9  # s since 1970: the years 2001 to 2096
-_RISING = 0.9  # of the steps of a clock
+_RISING = 0.9  # fraction of the steps of a clock
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
 @dataclass(frozen=True)
 class Choice:
-    """A column that was chosen.
+    """A chosen column.
 
     Attributes:
         place: among the table's columns; None for a time that --rate or the channels' own clock makes.
         name: its header.
         unit: of its values.
-        note: what else the summary should say of it, or empty.
+        note: further remark for the summary, or empty.
         clock: (first time, step) of the channels' own clock.
     """
 
@@ -57,13 +57,13 @@ class Choice:
 
     @property
     def reading(self) -> tuple:
-        """What makes two readings of a file the same: the column and its unit."""
+        """Return what must be equal for two readings of a file to agree: the column and its unit."""
         return self.place, self.unit
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A column as its header reads: where it is, its unit, the units that disagree, what is no unit that we know."""
+    """A column with its parsed header: place, unit, conflicting units, and text that is not a known unit."""
 
     place: int
     column: Column
@@ -82,12 +82,12 @@ class _Seen:
 
     @property
     def counts_rows(self) -> bool:
-        """Whether its unit is a count of the rows (`Sequence` of an oscilloscope)."""
+        """Return whether the unit is a count of rows (`Sequence` of an oscilloscope)."""
         return (self.unknown or "").lower() in _COUNTERS
 
 
 class _Ask(Exception):
-    """What must be asked about one quantity, and the options to suggest."""
+    """A question about one quantity, with the options to suggest."""
 
     def __init__(self, why: str, options: Sequence[str] = ()):
         super().__init__(why)
@@ -95,18 +95,18 @@ class _Ask(Exception):
 
 
 def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
-    """The columns that hold these quantities.
+    """Return the columns that hold these quantities.
 
     Args:
         table: the opened file.
-        options: what the caller says about them.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Returns:
         a choice per quantity.
 
     Raises:
-        Refused: with all that is missing, the columns here and the command to try.
+        Refused: with everything that is missing, the columns of the file and the command to try.
     """
     seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
     chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
@@ -117,7 +117,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
             chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
         except _Ask as ask:
             problems[quantity] = ask
-    # the channels may carry the clock themselves (TDMS): only known once they are chosen
+    # the channels may carry the clock themselves (TDMS): known only once they are chosen
     ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
     if "time" in problems and options.time_column is None and len(ports) == len(quantities) - 1 and not pools["time"]:
         try:
@@ -129,9 +129,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
     elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
-        ports.sort(
-            key=lambda s: _roughness(_values(table, s.place))
-        )  # what is played is smoother than what is measured
+        ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
@@ -139,7 +137,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
     if problems and clock is not None and clock.place is not None and bare and options.rate is None:
         strange = clock_question(_values(table, clock.place), clock.name)
-        if strange:  # all that is wrong at once
+        if strange:  # all problems at once
             problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])
     if problems:
         why = "; ".join(str(ask) for ask in problems.values())
@@ -151,7 +149,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
 
 
 def clock_question(time: np.ndarray, name: str) -> str | None:
-    """What to ask about a clock without a unit whose steps need not be seconds; None where they must be.
+    """Return a question about a clock without a unit if its steps may not be seconds; otherwise None.
 
     Args:
         time: as in the file, shape (T,), nan where empty.
@@ -170,7 +168,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
 
 
 def _port(seen: _Seen) -> bool:
-    """Whether a voltage is known by the words input or output alone, in a spelling that pitp does not write."""
+    """Return whether only the words input or output identify a voltage, in a spelling that pitp does not write."""
     return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
 
@@ -181,11 +179,11 @@ def _stated_ports(options: ReadOptions) -> bool:
 def _seen(place: int, column: Column) -> _Seen:
     header = read_header(column.name)
     beside, spoken = (spelt(text) if text else None for text in (column.beside, column.spoken))
-    # name, units row and comment may say it; the same unit again is one statement
+    # name, units row and comment may state it; the same unit again is one statement
     stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside, spoken) if unit))
-    # a unit row that we cannot read is stronger than brackets in the name
+    # an unknown unit in a units row takes precedence over brackets in the name
     unknown = column.beside if column.beside and not beside else header.unknown
-    counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is no microsecond
+    counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is not a microsecond
     if stated and not counted:
         return _Seen(place, column, header, stated[0], stated if len(stated) > 1 else ())
     if unknown:
@@ -194,14 +192,14 @@ def _seen(place: int, column: Column) -> _Seen:
 
 
 def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str]) -> dict[str, list[_Seen]]:
-    """The columns that could hold each quantity by the surest rule that has any."""
+    """Return the candidate columns of each quantity, by the most certain rule that finds any."""
     pools: dict[str, list[_Seen]] = {}
     for quantity in quantities:
         wanted = options.column(quantity)
         if wanted is not None:
             named = [s for s in seen if s.column.name == wanted]
             pools[quantity] = named or [s for s in seen if str(wanted).isdecimal() and s.place + 1 == int(wanted)]
-    # what the user named is no candidate for anything else
+    # a column named by the user is not a candidate for anything else
     taken = {s.place for pool in pools.values() for s in pool}
     open_ = [s for s in seen if s.place not in taken and s.column.form != "text"]
     for quantity in quantities:
@@ -217,12 +215,12 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     ]
     data = [s for s in open_ if s not in clocks and not s.counts_rows]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
-    # a laser or an encoder may well be read in volts
+    # a laser or an encoder is often read in volts
     sensed = [s for s in volts if s.role == "output"]
     driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
-    if not driving and lengths:  # the only voltage beside a length, whatever it is called
+    if not driving and lengths:  # the only voltage beside a length, whatever its name
         sensed, driving = [], sensed
-    # volts are a drive only beside something that answers
+    # volts are an input only beside a measured response
     moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
     if "voltage" in quantities and "voltage" not in pools:
         alone = "displacement" not in quantities and driving
@@ -231,9 +229,9 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
         )
     if "displacement" in quantities and "displacement" not in pools:
         drive = pools.get("voltage", [])
-        # the drive itself is no answer
+        # the input itself is not a response
         data = [s for s in data if len(drive) != 1 or s is not drive[0]]
-        # a scale is given for volts, so they come first then
+        # a scale applies to volts, so they come first
         first, second = (sensed, lengths) if options.output_scale is not None else (lengths, sensed)
         pair = [s for s in first if s in data] or [s for s in second if s in data]
         usual = bool(driving) or "voltage" not in quantities or not pair
@@ -251,17 +249,17 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 
 
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
-    """Return the clocks that the values, the names and the units leave, in this order of importance.
+    """Return the clocks that remain after the rules on values, names and units, in this order of importance.
 
-    A latency or a cycle time has a unit of time, and does not rise. Of clocks that agree the one that counts
-    seconds for certain is taken, or the one with the smallest values, which loses the fewest digits.
+    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one in seconds is taken,
+    otherwise the one with the smallest values, which loses the fewest digits.
     """
     if len(clocks) < 2:
         return clocks
     values = {s.place: _values(table, s.place) for s in clocks}
     rules = (
         lambda s: s.column.form == "stamp" or _ticks(values[s.place]),
-        lambda s: s.unknown is None,  # what is measured in g is no time, whatever it is called
+        lambda s: s.unknown is None,  # a column in g is not a time, whatever its name
         lambda s: s.header.clock_only,
         # beside dates, which are often coarser
         lambda s: s.role == "time" and s.kind == "time" and s.column.form != "stamp",
@@ -279,22 +277,22 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
 
 
 def _ticks(values: np.ndarray) -> bool:
-    """Return whether values go on as those of a clock, which may overflow or start again."""
+    """Return whether values increase as those of a clock, which may overflow or start again."""
     steps = np.diff(values[np.isfinite(values)])
     return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
 
 
 def _agree(first: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two clocks differ by a constant, to half a step."""
+    """Return whether two clocks differ only by a constant, to half a step."""
     if len(first) != len(other) or not np.isfinite(first).any() or np.isinf(first).any() or np.isinf(other).any():
         return False
     return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Columns of the usual unit; where none of them is named so, also those that are, without a unit.
+    """Return columns of the usual unit; if none has the role's name, also columns with the name but no unit.
 
-    The channel of a DAQ may be a monitor of such a column, which comes first then.
+    A DAQ channel comes last, because it may be a monitor of such a column.
     """
     bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
     if any(s.role == role and not s.header.words & _DAQ for s in united):
@@ -303,7 +301,7 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Columns of a machine's units: named so, else by kind (efforts drive, motions answer), beside bare named ones."""
+    """Return columns in a machine's units: by name, otherwise by kind (efforts as inputs, motions as outputs)."""
     named = [s for s in data if s.role == role and s.kind is not None]
     if named:
         return named
@@ -313,13 +311,13 @@ def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
         some = [s for s in free if s.kind in kinds]
         if some:
             return some + bare
-    # a temperature is most often recorded beside the motion
+    # a temperature is usually recorded beside the motion
     warm = [s for s in free if s.kind in ("temperature", "absolute temperature") and role == "output"]
     return bare or warm
 
 
 def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options: ReadOptions) -> Choice:
-    """The one column of a pool, with its unit."""
+    """Return the only column of a pool, with its unit."""
     stem, wanted = OPTIONS[quantity], options.column(quantity)
     if not pool and wanted is not None:
         several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
@@ -343,7 +341,7 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
 
 
 def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
-    """What an exact name won over."""
+    """Return a note on columns that an exact name was preferred to; empty if none."""
     if chosen.column.name not in column_names(quantity):
         return ""
     others = [
@@ -353,7 +351,7 @@ def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
 
 
 def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> Choice:
-    """The column's unit: the option's, the file's, V before a scale, s for a time that counts in fractions."""
+    """Return the column's unit: of the option, of the file, V before a scale, or s for a fractional clock."""
     stem, name, given = OPTIONS[quantity], seen.column.name, options.unit(quantity)
     if seen.column.form == "stamp" and quantity == "time":
         return Choice(seen.place, name, "s", "dates and hours")
@@ -387,7 +385,7 @@ def _few(quantity: str) -> str:
 
 
 def _own_clock(ports: Sequence[_Seen]) -> Choice:
-    """The clock that the channels themselves carry.
+    """Return the clock stored with the channels themselves.
 
     Raises:
         _Ask: they have none, or differ.
@@ -402,7 +400,7 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
 
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
-    """Options that would answer: what no file holds (a scale, a rate, a unit) in capitals."""
+    """Return options that would answer; values that no file holds (scale, rate, unit) in capitals."""
     absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
     stated = options.words()
     words = [word for group in by_option(stated) if group[0] not in absent for word in group]
@@ -419,14 +417,14 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
         elif quantity in quantities:
             other = "input" if quantity == "displacement" else "output"
             others = [s for s in free if s.role != "time" and s.kind != "time"]
-            others.sort(key=lambda s: s.role == other)  # a name that says the opposite comes last
+            others.sort(key=lambda s: s.role == other)  # a name of the opposite role comes last
             pool = [s for s in pools[quantity] or others if s.place not in taken and not s.header.words & _COUNTERS]
             named = [s for s in pool if s.role == "output"] if quantity == "displacement" else []
             first = next((s for s in named or pool if len(_values(table, s.place))), None)
             if first is not None:
                 ports[quantity] = first
                 taken.add(first.place)
-    # an amplifier has two monitors: where the drive is one, so is the answer
+    # an amplifier has two monitors: if the input is one, the output is one too
     daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
     for quantity, port in ports.items():
         name = _said(seen, port) if len(pools[quantity]) != 1 else None
@@ -435,19 +433,19 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
 
 
 def _once(words: Sequence[str]) -> list[str]:
-    """Options and values, each option once: the first stands."""
+    """Return options and values, each option once: the first is kept."""
     groups = by_option(words)
     return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
-    """A column as an option names it: by its number where others have its name."""
+    """Return a column's name for an option: its number if other columns share its name."""
     names = [s.column.name for s in seen]
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 
 
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
-    """How the time could be said: a column that rises, or a rate."""
+    """Return options that state the time: a column that rises, or a rate."""
     pool = pool or [
         s
         for s in free
@@ -466,7 +464,7 @@ def _rises(values: np.ndarray) -> bool:
 
 
 def _values(table: Table, place: int) -> np.ndarray:
-    """A column as in the file, shape (T,); empty where it cannot be loaded."""
+    """Return a column as in the file, shape (T,); empty if it cannot be loaded."""
     try:
         return table.load([place])[0]
     except BadInput:
@@ -474,14 +472,14 @@ def _values(table: Table, place: int) -> np.ndarray:
 
 
 def _roughness(values: np.ndarray) -> float:
-    """Noise of a column beside its range, by the median of its fifth differences."""
-    # what a motion does hardly passes five differences, noise passes them sixteenfold
+    """Return the noise of a column relative to its range, from the median of its fifth differences."""
+    # five differences almost remove a motion, and amplify noise sixteenfold
     rough = np.abs(np.diff(values[np.isfinite(values)], 5))
     return float(np.median(rough) / max(np.ptp(values), 1e-300)) if len(rough) else np.inf
 
 
 def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
-    """Whether a drive is what a DAQ recorded of an amplifier: volts within its range, or named as a DAQ's channel."""
+    """Return whether an input is an amplifier's monitor recorded by a DAQ, by its range or its channel's name."""
     values = values[np.isfinite(values)]
     if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
         return False
@@ -512,7 +510,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def listed(columns: Sequence[Column], most: int = 8) -> str:
-    """The first columns of a table, for messages."""
+    """Return the names of the first columns of a table, for messages."""
     names = [column.name for column in columns if column.name]
     beyond = len(dict.fromkeys(names[most:]))
     return (_names(names[:most]) or "none") + (f" and {beyond} more" if beyond else "")

@@ -1,6 +1,6 @@
-"""Columns of a file: opened, chosen, loaded in base units; readings of one file that disagree are asked about.
+"""Open a file, choose its columns, and load them in base units; ask if a file can be read in several ways.
 
-parts -> tables that each may be -> choices; all that succeed must agree -> (time, input, output), float64
+parts -> possible tables of each -> choices; all successful ones must agree -> (time, input, output), float64
 """
 
 from collections.abc import Sequence
@@ -21,7 +21,7 @@ from .table import Column, Table
 from .units import column_names, kind_of, to_base
 
 _MOST_PARTS = 1000
-_SECONDS = 3.0  # times a stated rate: a clock without a unit that ticks so near to it counts seconds
+_SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
 
 
 @dataclass(frozen=True)
@@ -29,12 +29,12 @@ class Loaded:
     """Columns of one part of a file, in base units.
 
     Attributes:
-        table: where they come from.
+        table: their source.
         chosen: a choice per quantity.
         values: per quantity, shape (T,) each.
-        options: what was said, by the caller and in the folder.
+        options: of the caller and the folder.
         label: of this part of the file, or empty.
-        rows: which rows of the table they are, or None for all.
+        rows: their rows in the table, or None for all.
     """
 
     table: Table
@@ -45,16 +45,16 @@ class Loaded:
     rows: np.ndarray | None = None
 
     def place(self, sample: int) -> str:
-        """Words for a sample."""
+        """Return words for a sample."""
         return self.table.place(sample if self.rows is None else int(self.rows[sample]))
 
     def words(self, quantity: str) -> str:
-        """What a quantity was read as: `'U [V]' in V times 1000`."""
+        """Return how a quantity was read: `'U [V]' in V times 1000`."""
         scale = self.options.scale(quantity)
         return str(self.chosen[quantity]) + ("" if scale is None else f" times {scale:g}")
 
     def unit(self, quantity: str) -> str:
-        """The unit a quantity is shown in: its own; mm or V where a scale made it of a DAQ's volts."""
+        """Return the unit in which a quantity is shown: its own, or mm or V if a scale converts a DAQ's volts."""
         unit = self.chosen[quantity].unit
         if self.options.scale(quantity) is None or kind_of(unit) != "voltage":
             return unit
@@ -62,20 +62,20 @@ class Loaded:
 
 
 def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) -> list[Loaded]:
-    """The columns of a file, one entry for each part that `split_by` asks for.
+    """Return the columns of a file, one entry for each part that `split_by` asks for.
 
     Args:
         path: the file.
-        options: what the caller says.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Raises:
-        BadInput: nothing readable, or something must be asked.
+        BadInput: nothing readable, or the user must decide.
     """
     said = with_folder(options, path)
     parts = joined_parts(path, said)
     if said != options and any(_ours(table) for tables in parts for table in tables):
-        said, parts = options, joined_parts(path, options)  # pitp.toml is for what pitp did not write
+        said, parts = options, joined_parts(path, options)  # pitp.toml does not apply to files written by pitp
     if said.split_by in ("sheet", "group"):
         chosen = [_agreed(tables, said, quantities) for tables in parts]
         return [replace(_load(*one, said), label=one[0].part) for one in chosen]
@@ -86,14 +86,14 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
 
 
 def _ours(table: Table) -> bool:
-    """Whether a table has the columns of the files that we write, and no other."""
+    """Return whether a table has the columns of the files that pitp writes, and no other."""
     ours = [frozenset(column_names(q)) for q in ("time", "voltage", "displacement")]
     names = [c.name for c in table.columns]
     return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
 
 
 def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
-    """The first part that holds the columns."""
+    """Return the first part that holds the columns."""
     refusals = []
     for tables in parts:
         try:
@@ -104,10 +104,10 @@ def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tup
 
 
 def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
-    """The reading that all tables agree on which can be read at all.
+    """Return the reading on which all readable tables agree.
 
     Raises:
-        BadInput: none can, or two differ.
+        BadInput: none can be read, or two differ.
     """
     good, refusals = [], []
     for table in tables:
@@ -135,14 +135,14 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
 
 
 def _legible(columns: Sequence[Column]) -> int:
-    """How far the names of columns look like names: letters, and words that we know."""
+    """Return a score of how far the names of columns are letters and known words."""
     names = [c.name for c in columns]
     strange = sum(not (c.isalnum() or ord(c) < 128) for name in names for c in name)
     return sum(read_header(name).role is not None for name in names) - strange
 
 
 def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
-    """The chosen columns in base units, scaled; a time of --rate where there is none."""
+    """Return the chosen columns in base units, scaled, with a time from --rate if there is none."""
     values, chosen = _values(table, chosen, options)
     count = len(next(iter(values.values()))) if values else 0
     loaded = {}
@@ -173,7 +173,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
 def _values(
     table: Table, chosen: dict[str, Choice], options: ReadOptions
 ) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
-    """The chosen columns by their places; with --rate a clock that cannot be read is done without."""
+    """Return the chosen columns by place; with --rate an unreadable clock is ignored."""
     places, clock = [choice.place for choice in chosen.values() if choice.place is not None], chosen.get("time")
     try:
         return dict(zip(places, table.load(places), strict=True)), chosen
@@ -181,7 +181,7 @@ def _values(
         if clock is None or clock.place is None:
             raise
         rest = [place for place in places if place != clock.place]
-        values = dict(zip(rest, table.load(rest), strict=True))  # what is wrong with these comes first
+        values = dict(zip(rest, table.load(rest), strict=True))  # errors in these come first
         if options.rate is None:
             why = str(error).removeprefix(f"{table.source}: ")
             raise Refused(table.source, why, [*options.words(), "--rate", "RATE"]) from None
@@ -189,7 +189,7 @@ def _values(
 
 
 def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
-    """The time; where there is none, its clock is empty or has no unit, --rate makes it.
+    """Return the chosen time; --rate replaces a clock that is missing, empty or without a unit.
 
     Raises:
         BadInput: whole numbers without a unit, an empty clock.
@@ -220,7 +220,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
 
 
 def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
-    """What makes a clock without a unit unfit; empty where it counts seconds."""
+    """Return why a clock without a unit is unsuitable; empty if it counts seconds."""
     if rate is None:
         return clock_question(time, name) or ""
     step = float(np.median(np.diff(time[np.isfinite(time)])))
@@ -229,10 +229,10 @@ def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
 
 
 def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) -> tuple[dict, np.ndarray | None]:
-    """Rows without a filled cell taken out: the clock shows the gap."""
+    """Return the values without rows that are empty in all columns; the clock shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
         return loaded, rows
-    # only rows empty in all columns: an empty input alone must be refused later
+    # an empty input alone must be refused later
     empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
     if not empty.any():
         return loaded, rows
@@ -241,7 +241,7 @@ def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) 
 
 
 def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
-    """A part for every value of a column, in the order in which they appear."""
+    """Return a part for every value of a column, in order of appearance."""
     places = [k for k, c in enumerate(table.columns) if c.name == name]
     if not places:
         words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""
@@ -254,7 +254,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     keys = keys if whole.rows is None else keys[whole.rows[whole.rows < len(keys)]]
     if len(keys) != count:
         raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
-    # run 1.0 of a float column is called 1
+    # run 1.0 of a float column is named 1
     labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
@@ -263,7 +263,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
         )
     parts = []
     for label in first:
-        # a run may be taken up again later in the file
+        # a run may continue later in the file
         rows = np.flatnonzero(np.array(labels) == label)
         kept = rows if whole.rows is None else whole.rows[rows]
         parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=kept))

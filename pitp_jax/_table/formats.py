@@ -1,11 +1,11 @@
-"""File formats: from a suffix to the function that opens such a file as tables, a part (sheet, group) each.
+"""File formats: the function that opens each suffix as tables, one for each part (sheet, group).
 
 .csv .txt .dat .tsv .lvm   text, each also .gz
 .xlsx  .tdms               spreadsheets, LabVIEW (extras)
 .mat                       MATLAB v5 to v7 (SciPy) or v7.3 (an HDF5 file)
 .npz                       NumPy archive, never unpickled
 .h5 .hdf5                  HDF5, datasets at the root or in its groups
-.parquet .mcap             data frames and logs of robots (extra); a folder of rosbag2 is one recording too
+.parquet .mcap             data frames and logs of robots (extra); a folder of rosbag2 is also one recording
 """
 
 import io
@@ -33,19 +33,19 @@ from .text import numbers_of, text_tables
 from .units import kind_of, spelt
 
 _TEXT = (".csv", ".txt", ".dat", ".tsv", ".lvm")
-_HEAD, _ROWS = 200, 1 << 20  # rows looked at; the most a sheet has
-_DEEPEST = 2  # groups below one of the root that are opened; a hard link may lead back up
+_HEAD, _ROWS = 200, 1 << 20  # rows examined; the most a sheet has
+_DEEPEST = 2  # groups below one of the root that are opened; a hard link may form a loop
 Parts = list[list[Table]]  # of a file: every part, and every table that it may be
 
 
 def _signed(path: Path, sign: bytes, what: str, remedy: str) -> None:
-    """Refuse a file that does not begin as its suffix says."""
+    """Refuse a file whose first bytes do not match its suffix."""
     if not file_bytes(path, max(len(sign), 4)).startswith(sign):
         raise BadInput(f"{cleaned(path)}: is not {what} as its suffix says; {remedy}")
 
 
 def xlsx(path: Path, options: ReadOptions) -> Parts:
-    """A workbook: every sheet that holds a table of numbers."""
+    """Return a workbook's sheets that hold a table of numbers."""
     _signed(path, b"PK", "an Excel workbook", "save it as .xlsx or CSV")
     check_archive(path)
     import openpyxl
@@ -58,7 +58,7 @@ def xlsx(path: Path, options: ReadOptions) -> Parts:
             raise BadInput(f"{cleaned(path)}: has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
         for sheet in book.worksheets:
             if options.sheet in (None, cleaned(sheet.title)):
-                # what a sheet says of its size is often wrong
+                # the size that a sheet states is often wrong
                 sheet.reset_dimensions()
                 rows = list(enumerate(islice(sheet.iter_rows(values_only=True), _ROWS), 1))
                 try:
@@ -73,7 +73,7 @@ def xlsx(path: Path, options: ReadOptions) -> Parts:
 
 
 def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadOptions) -> list[Table]:
-    """Numbered rows of one sheet as tables."""
+    """Return the numbered rows of one sheet as tables."""
     source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
     check_columns(max((len(row) for _, row in filled), default=0), source)
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
@@ -102,7 +102,7 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
 
 
 def _shown(value: Any, decimal: str) -> str:
-    """A cell as a text has it; a span of time as hours."""
+    """Return a cell as text; a time span as hours."""
     if isinstance(value, timedelta):
         minutes, seconds = divmod(value.total_seconds(), 60)
         return f"{minutes // 60:02.0f}:{minutes % 60:02.0f}:{seconds:09.6f}"
@@ -112,13 +112,13 @@ def _shown(value: Any, decimal: str) -> str:
 
 
 def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
-    """Whether the numbers of a sheet are texts with a decimal comma."""
+    """Return whether the numbers of a sheet are texts with a decimal comma."""
     cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
     return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)
 
 
 def tdms(path: Path, options: ReadOptions) -> Parts:
-    """A LabVIEW file: the channels of its groups, each with the clock of its waveform."""
+    """Return the channels of a LabVIEW file by group, each with the clock of its waveform."""
     _signed(path, b"TDSm", "a TDMS file", "export it from LabVIEW again")
     from nptdms import TdmsFile
 
@@ -141,7 +141,7 @@ def _waveform(properties: Any) -> tuple[float, float]:
 
 
 def npz(path: Path, options: ReadOptions) -> Parts:
-    """A NumPy archive; object arrays are refused, so nothing stored in it is ever executed."""
+    """Return the arrays of a NumPy archive; object arrays are refused, so that no stored code is executed."""
     _signed(path, b"PK", "a NumPy archive", "save it with numpy.savez")
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
@@ -151,9 +151,9 @@ def npz(path: Path, options: ReadOptions) -> Parts:
 
 
 def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.ndarray]:
-    """One array of an archive, whose header may not promise more than the member holds.
+    """Return one array of an archive, whose header may not promise more data than the member holds.
 
-    What is wrong with it is told only where its column is asked for.
+    An error is reported only when the column is asked for.
     """
     try:
         data = io.BytesIO(archive.read(name))
@@ -161,12 +161,12 @@ def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.nd
         read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
         shape, _, dtype = read(data)
         if dtype.hasobject:
-            return np.empty(0, dtype=object)  # refused as "not plain numbers"
+            return np.empty(0, dtype=object)  # refused later as "not plain numbers"
         if int(np.prod(shape, dtype=object)) * dtype.itemsize > len(data.getbuffer()) - data.tell():
             raise ValueError(f"{name} ends too early")
         data.seek(0)
         return np.lib.format.read_array(data, allow_pickle=False)
-    except Exception as error:  # zipfile and NumPy raise nearly anything on damaged members
+    except Exception as error:  # zipfile and NumPy raise almost any error on damaged members
         damage = error
 
     def broken() -> np.ndarray:
@@ -176,13 +176,13 @@ def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.nd
 
 
 def mat(path: Path, options: ReadOptions) -> Parts:
-    """A MATLAB file: its variables, and the fields of its structs that hold vectors."""
+    """Return the variables of a MATLAB file, and the fields of its structs that hold vectors."""
     if h5py.is_hdf5(path):
         return hdf5(path, options, "MATLAB file v7.3")
     _signed(path, b"MATLAB", "a MATLAB file", "save it from MATLAB with -v7 or -v7.3")
     source = cleaned(path)
     stored = {n: v for n, v in scipy.io.loadmat(flat(file_bytes(path), source)).items() if not n.startswith("__")}
-    # tables, strings and datetimes are stored in a form that MathWorks does not publish
+    # MathWorks does not publish how tables, strings and datetimes are stored
     objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
     plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
     groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
@@ -194,14 +194,14 @@ def mat(path: Path, options: ReadOptions) -> Parts:
         )
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
-    # one struct is what the user saved; of several the struct names the column too
+    # one struct is the recording; with several, the struct's name is part of the column's
     if len(groups) == 1:
         return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
     return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
 
 
 def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Fields of structs by their places; of ControlDesk and Simulink, the data by the name that stands beside them."""
+    """Yield fields of structs by place, and data of ControlDesk and Simulink by the name stored beside them."""
     for k, one in enumerate(structs.reshape(-1)):
         fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
         # X(k).Data beside X(k).Name: the name is a value, not a field
@@ -225,7 +225,7 @@ def _vectors(variables: dict[str, np.ndarray]) -> list[str]:
 
 
 def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: str = "") -> Table:
-    """Variables as a table; a list of units is dealt out where each suits the name of its variable."""
+    """Return variables as a table; a list of units is assigned if each fits the name of its variable."""
     text = next((v for n, v in variables.items() if n.lower() in ("unit", "units", "einheiten")), None)
     words = " ".join(map(str, text.reshape(-1))) if text is not None and text.dtype.kind == "U" else ""
     said = re.split(r"[\s,;]+", words.strip())
@@ -236,13 +236,13 @@ def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: st
 
 
 def _fitting(name: str, unit: str) -> bool:
-    """Whether a unit may be that of a variable of this name: times have those of time, others do not."""
+    """Return whether a unit fits a variable's name: time units only for times."""
     role, kind = read_header(name).role, kind_of(spelt(unit))
     return role is None or kind is None or (role == "time") == (kind == "time")
 
 
 def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
-    """An HDF5 file: datasets at the root and in groups below it; links are followed only where they are hard ones."""
+    """Return the datasets of an HDF5 file at the root and in groups below; only hard links are followed."""
     source = cleaned(path)
     with h5py.File(path, "r") as file:
         groups = _datasets(file, source)
@@ -266,25 +266,25 @@ def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
 
 
 def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
-    """Paths of the datasets in a group and in those below it, by group."""
+    """Return the paths of the datasets in a group and in those below it, by group."""
     check_columns(len(group), source)
     # by group, so that the same names in two groups stay apart
     groups: dict[str, list[str]] = {above: []}
     for name in group:
-        if not above and name.startswith("#"):  # what MATLAB keeps for itself
+        if not above and name.startswith("#"):  # MATLAB's internal data
             continue
         kind, place = _kind(group, name, source), f"{above}/{name}".lstrip("/")
         if kind is h5py.Dataset:
             groups[above].append(place)
         elif kind is h5py.Group and above.count("/") < _DEEPEST:
             groups |= _datasets(group[name], source, place)
-        # while walking: a hostile tree ends here
+        # checked while walking, to stop at a hostile tree
         check_columns(sum(map(len, groups.values())), source)
     return {name: places for name, places in groups.items() if places}
 
 
 def _kind(group: Any, name: str, source: str):
-    """Dataset or Group, of a hard link; refuses one that leads elsewhere."""
+    """Return Dataset or Group of a hard link; refuse a link that leads elsewhere."""
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise BadInput(
@@ -300,13 +300,13 @@ def _kind(group: Any, name: str, source: str):
 
 
 def _about(dataset: Any) -> tuple[Any, tuple[int, ...], tuple[str, ...]]:
-    """The unit, the shape and the fields of a dataset."""
+    """Return the unit, the shape and the fields of a dataset."""
     unit = next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
     return unit, dataset.shape or (), dataset.dtype.names or ()
 
 
 def _dataset(path: Path, where: str, source: str) -> np.ndarray:
-    """A dataset as stored, minding that MATLAB v7.3 writes text as codes and empty arrays as their shape."""
+    """Return a dataset as stored; MATLAB v7.3 writes text as codes and empty arrays as their shape."""
     with h5py.File(path, "r") as file:
         dataset: Any = file[where]
         kind = dataset.attrs.get("MATLAB_class", b"")
@@ -335,7 +335,7 @@ SUFFIXES = (*(f"{suffix}.gz" for suffix in _TEXT), *_TEXT, *_STORED)
 
 
 def split_suffix(name: str) -> tuple[str, str]:
-    """A file name as (stem, known suffix); the suffix is empty where it is not one of a record file.
+    """Split a file name into (stem, known suffix); the suffix is empty if it is not one of a record file.
 
     Capital suffixes (`.CSV`, `.MAT`) count too.
     """
@@ -346,7 +346,7 @@ def split_suffix(name: str) -> tuple[str, str]:
 
 
 def open_parts(path: Path, options: ReadOptions) -> Parts:
-    """Every part of a file, and every table that a part may be; what a library raises becomes BadInput.
+    """Open every part of a file, and every table that a part may be; errors of libraries become BadInput.
 
     Raises:
         BadInput: unknown suffix, or the file is not what its suffix says.

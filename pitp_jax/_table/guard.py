@@ -1,4 +1,4 @@
-"""One guard against hostile files: what is read is bounded before it is read, and what libraries raise is one line.
+"""Guard against hostile files: sizes are limited before reading, and errors of libraries become one line.
 
 regular file of at most 1 GiB,    unfolded bytes <= min(200 size, max(256 MiB, 20 size)),    4096 columns, 1e7 rows
 """
@@ -21,7 +21,7 @@ from .._errors import BadInput, cleaned
 MAX_COLUMNS = 4096
 MAX_SAMPLES = 10_000_000
 MAX_BYTES = 1 << 30
-_UNFOLDED, _PLAIN = 200, 1 << 20  # times its size an archive may unfold to; below a mebibyte nobody is hurt
+_UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to; a mebibyte is always harmless
 _UNFOLDED_BYTES = 256 << 20
 _PIECE = 1 << 20
 
@@ -37,7 +37,7 @@ def check_columns(count: int, source: str) -> None:
 
 
 def check_count(count: int, source: str) -> None:
-    """Refuse more samples than anything here could use.
+    """Refuse more samples than the package can use.
 
     Raises:
         BadInput: with the count.
@@ -47,7 +47,7 @@ def check_count(count: int, source: str) -> None:
 
 
 def check_unfolded(unfolded: int, size: int, source: str) -> None:
-    """Refuse an archive that unfolds to more than it may.
+    """Refuse an archive that unfolds to more than the limit.
 
     Raises:
         BadInput: with both sizes.
@@ -60,14 +60,14 @@ def check_unfolded(unfolded: int, size: int, source: str) -> None:
 
 
 def file_bytes(path: Path, count: int = -1) -> bytes:
-    """The content of a regular file, or its first `count` bytes.
+    """Return the content of a regular file, or its first `count` bytes.
 
     Raises:
         BadInput: it cannot be read, is a device or a pipe, is empty, or of unreasonable size.
     """
     source = cleaned(path)
     try:
-        # a pipe would block for ever, a device never end
+        # a pipe would block forever, a device would never end
         state = os.stat(path)
         if not stat.S_ISREG(state.st_mode):
             raise BadInput(f"{source}: is not a regular file; copy the record into one")
@@ -83,7 +83,7 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
 
 
 def as_column(values: Any, column: str, source: str) -> np.ndarray:
-    """One stored variable as a float64 column; row and column vectors are both taken.
+    """Return one stored variable as a float64 column; row and column vectors are both accepted.
 
     Args:
         values: array as stored, shape (T,), (T, 1), (1, T) or any with one axis longer than 1.
@@ -104,7 +104,7 @@ def as_column(values: Any, column: str, source: str) -> np.ndarray:
             "belongs; store one column per variable"
         )
     check_count(values.size, source)
-    with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity, refused later
+    with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity (refused later)
         return values.astype(np.float64).reshape(-1)
 
 
@@ -112,7 +112,7 @@ def gunzip(data: bytes, source: str) -> bytes:
     """Decompress gzip data piece by piece.
 
     Raises:
-        BadInput: damaged, truncated, or unfolding to too much.
+        BadInput: damaged, truncated, or too large when unpacked.
     """
     pieces, total = [], 0
     try:
@@ -134,16 +134,16 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
     Args:
         data: the compressed bytes.
         source: the file, for messages.
-        size: of the whole file, which the limit is counted from.
-        begun: bytes of this file unfolded before.
+        size: of the whole file, which determines the limit.
+        begun: bytes of this file already unpacked.
 
     Raises:
-        BadInput: unfolding to too much.
+        BadInput: too large when unpacked.
         zlib.error: damaged or truncated.
     """
     engine, pieces, total = zlib.decompressobj(), [], begun
     while not engine.eof:
-        # piece by piece: what unfolds too far is never held
+        # piece by piece, so that an excessive result is never in memory
         piece = engine.decompress(data, _PIECE)
         data = engine.unconsumed_tail
         if not piece and not data and not engine.eof:
@@ -155,7 +155,7 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
 
 
 def check_archive(path: Path) -> None:
-    """Refuse a zip archive (`.npz`, `.xlsx`) whose members unfold to too much; none is read past its declared size.
+    """Refuse a zip archive (`.npz`, `.xlsx`) that unfolds to too much; no member is read past its declared size.
 
     Raises:
         BadInput: with the sizes, or not a zip archive.
@@ -164,7 +164,7 @@ def check_archive(path: Path) -> None:
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
-    except Exception as error:  # zipfile raises nearly anything on damaged directories
+    except Exception as error:  # zipfile raises almost any error on damaged directories
         raise BadInput(
             f"{source}: not readable as an archive ({type(error).__name__}); save or copy it again"
         ) from None
@@ -172,13 +172,13 @@ def check_archive(path: Path) -> None:
 
 
 def guarded(source: str, kind: str, function: Callable, *arguments):
-    """Call a library on a file; whatever it raises becomes one line.
+    """Call a library on a file, and turn any error into one line.
 
     Raises:
         BadInput: the library's reason, shortened.
     """
     try:
-        with warnings.catch_warnings():  # theirs about the file; what matters here is told or refused
+        with warnings.catch_warnings():  # warnings about the file; relevant ones are reported or refused here
             warnings.simplefilter("ignore")
             return function(*arguments)
     except BadInput:

@@ -1,9 +1,9 @@
-"""Where rows of cells have their names, their units and their first row of numbers.
+"""Find the names, the units and the first row of numbers in rows of cells.
 
 rows -> columns that are numbers or hours -> first of several rows of numbers -> units row, names above it
 
-Every row above the numbers that could name the columns is a reading of its own; they are compared by the columns and
-units that they give (`choice`).
+Every row above the numbers that could name the columns is one possible reading. The readings are compared by their
+columns and units (`choice`).
 """
 
 import re
@@ -24,9 +24,9 @@ _NUMBER = {
 }
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
 _WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}
-_LONGEST_UNIT = 12  # letters: `Millimeters` is one, a sentence is none
+_LONGEST_UNIT = 12  # letters: `Millimeters` is one, a sentence is not
 _MOST_NAMES = 4  # rows above the numbers that are tried as names
-_KEYS = (  # of rows that begin with a key: `TraceName,CH1,CH2`, `UnitName=  kV  mm`
+_KEYS = (  # of rows that start with a key: `TraceName,CH1,CH2`, `UnitName=  kV  mm`
     re.compile(r"((trace|channel|signal|curve)[ _]?)?(name|title|label|channel)s?[:=]?", re.IGNORECASE),
     re.compile(r"((v|y|vertical|channel|signal)[ _]?)?units?[ _]?(name|label|string)?[:=]?", re.IGNORECASE),
 )
@@ -61,7 +61,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a table is written.
+    """The layout of a table in a text.
 
     Attributes:
         separator: between cells; a blank stands for any number of them.
@@ -69,8 +69,8 @@ class Layout:
         columns: names and units.
         first: index of the first row of numbers among the rows given.
         width: cells of a row of numbers.
-        notes: what else was recognised, in words.
-        hint: of the rate, or empty.
+        notes: further recognised properties, in words.
+        hint: about the rate, or empty.
     """
 
     separator: str
@@ -83,21 +83,21 @@ class Layout:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Whether a cell is a number, or empty or nan."""
+    """Return whether a cell is a number, or empty or nan."""
     return bool(_NUMBER[decimal].match(cell)) or cell.lower() in _WORDS
 
 
 def layouts(
     rows: Rows, separator: str, decimal: str, source: str, header_line: int | None, units_line: str | None
 ) -> list[Layout]:
-    """Every way to read the head of a table, the likeliest first.
+    """Return every way to read the head of a table, the likeliest first.
 
     Args:
         rows: the first rows.
         separator: passed on.
         decimal: `.` or `,`.
         source: the file, for messages.
-        header_line: the line that names the columns, if the user says it.
+        header_line: the line that names the columns, if the user gives it.
         units_line: the line of units, or "none".
 
     Raises:
@@ -128,7 +128,7 @@ def layouts(
         above = [k for k in above if k == names[0]] or names
     plain_rows = [k for k in above if not rows.commented[k]]
     readings, refusals = [], []
-    for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is no row of names
+    for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is not a row of names
         try:
             readings.append(_named(bare, rows, k, units, widths, first, source))
         except BadInput as error:
@@ -139,8 +139,8 @@ def layouts(
 
 
 def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
-    """The usual number of cells of rows that hold numbers."""
-    # half of the cells are numbers: a column or two may be words
+    """Return the usual number of cells in rows that hold numbers."""
+    # half of the cells are numbers: one or two columns may be words
     lengths = Counter(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
     return lengths.most_common(1)[0][0] if lengths else 0
 
@@ -150,14 +150,14 @@ def _count(row: Sequence[str], decimal: str) -> int:
 
 
 def _settings(block: Sequence[Sequence[str]]) -> int:
-    """How many rows at the top are settings with numbers (`BlockSize,400,400`): keyed, and no row below them is."""
-    # settings have their key in the first cell, numbers leave it empty
+    """Return how many rows at the top are settings with a key and numbers (`BlockSize,400,400`)."""
+    # settings have their key in the first cell, rows of numbers leave it empty
     keyed = next((k for k, row in enumerate(block) if not row[0]), 0)
     return keyed if keyed > 2 and not any(row[0] for row in block[keyed:]) else 0
 
 
 def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str]:
-    """What each column holds: numbers, hours or text, by most of its cells."""
+    """Return the form of each column (number, stamp or text), by most of its cells."""
     forms = []
     for k in range(width):
         filled = [row[k] for row in block if row[k]]
@@ -168,7 +168,7 @@ def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str
 
 
 def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], decimal: str) -> int | None:
-    """The first row of numbers that another one follows: a lone one (`1000,,`) is a setting."""
+    """Return the first row of numbers that is followed by another one; a single one (`1000,,`) is a setting."""
 
     def holds(k: int) -> bool:
         row = rows.cells[k]
@@ -188,20 +188,20 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
     between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
     if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
         good = [k for k in good if k >= full]
-    # two rows of numbers in a row begin the data
+    # two rows of numbers in sequence start the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return pairs[0] if pairs else good[0] if good else None
 
 
 def _counts_samples(row: Sequence[str]) -> bool:
-    """Whether a row is the length of every channel (`,400,400`)."""
+    """Return whether a row states the length of every channel (`,400,400`)."""
     return not row[0] and len(trimmed(row)) > 2 and len(set(filter(None, row))) == 1 and max(row).isdecimal()
 
 
 def _units_row(
     rows: Rows, first: int, widths: range, units_line: str | None, source: str
 ) -> tuple[list[str], list[int]]:
-    """Units below the names, and the rows above the numbers that could be names, the nearest first."""
+    """Return the units below the names, and the rows above the numbers that could be names, the nearest first."""
     fits = [k for k in range(first) if _fits(rows, k, widths)]
     if units_line == "none":
         return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
@@ -212,58 +212,58 @@ def _units_row(
         return rows.cells[stated[0]], [k for k in fits[::-1] if k != stated[0]]
     named, united = ([k for k in fits if key.fullmatch(rows.cells[k][0])] for key in _KEYS)
     if named and united and _is_units(rows.cells[united[-1]][1:]):
-        if not any(row[0] for row in rows.cells[first:] if row):  # no key of its own, no column below it
+        if not any(row[0] for row in rows.cells[first:] if row):  # a key without a column of its own
             rows.cells[named[-1]][0] = ""
         return ["", *rows.cells[united[-1]][1:]], named[-1:]
     united = [k for k in fits[::-1] if _is_units(rows.cells[k][: widths[0]])][:1]
     names = [k for k in fits[::-1] if k not in united and not _numeric(rows.cells[k])]
     if not united:
         return [], names
-    # units stand below the names, or in a row above them; channels may be counted (`X,1,2`)
+    # units are below the names, or in a row above them; channels may be numbered (`X,1,2`)
     above = [k for k in names if k < united[0]][:1]
     counted = [k for k in fits[::-1] if k < united[0]][:1]
     return rows.cells[united[0]], above or names or counted or united
 
 
 def _fits(rows: Rows, k: int, widths: range) -> bool:
-    """Whether row k has as many cells as the numbers; R leaves out the name of the first column, in no comment."""
+    """Return whether row k has a cell for each column of numbers; R omits the name of the first column."""
     row, below = rows.cells[k], rows.cells[k + 1]
     count = len(trimmed(row))
     if count < 2 or (rows.commented[k] and row[0].endswith((":", "="))):  # `# rows: 400` is a setting
         return False
     if count in widths or (count == widths[0] - 1 and not rows.commented[k]):
         return True
-    # Beyond the columns there may be settings (`X,CH1,CH2,Start,Increment`), their values here or in the row below
+    # Beyond the columns there may be settings (`X,CH1,CH2,Start,Increment`), their values here or in the row below.
     return count > widths[-1] and (_extra(row, widths[-1]) or _numeric(below[widths[-1] :]))
 
 
 def _extra(row: Sequence[str], width: int) -> bool:
-    """Whether what a header has beyond the columns are settings: behind an empty cell, or numbers among them."""
+    """Return whether the cells beyond the columns are settings: behind an empty cell, or with numbers."""
     return not all(trimmed(row)[: width + 1]) or any(_numeric([cell]) for cell in row[width:] if cell)
 
 
 def _numeric(row: Sequence[str]) -> bool:
-    """Whether a row holds numbers or hours, which names are not."""
+    """Return whether a row holds numbers or hours, which are never names."""
     return any(cell and (is_number(cell, ".") or is_number(cell, ",") or is_stamp(cell)) for cell in row)
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Whether a row is one of units: most cells are, the others short (`mA`, `-`), none is a number but 1."""
+    """Return whether a row is one of units: most cells are units, the others short, none a number except 1."""
     if _numeric([cell for cell in row if cell != "1"]):
         return False
     cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and cell != "1"]
-    # a channel in dB or of no unit beside them is allowed
+    # a channel in dB or without a unit beside them is allowed
     known = sum(spelt(cell) is not None for cell in cells)
     return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
 
 
 def _of_unit(cell: str) -> str:
-    """A cell of a units row without its key: `Unit: kV`."""
+    """Return a cell of a units row without its key, for example `kV` of `Unit: kV`."""
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 
 def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int, source: str) -> Layout:
-    """The reading in which row k names the columns."""
+    """Return the layout in which row k names the columns."""
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
         names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells beside the header"]
@@ -292,7 +292,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
 
 
 def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range, source: str) -> Layout:
-    """The reading without a header; refused where the row above the numbers looks like one."""
+    """Return the layout without a header; refuse it if the row above the numbers looks like one."""
     last = [k for k in range(first) if not rows.commented[k]][-1:]
     if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:
         count = len(trimmed(rows.cells[last[0]]))
@@ -307,7 +307,7 @@ def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths:
 def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: Rows, first: int) -> Layout:
     spoken = _spoken(rows, first)
     beside = [_of_unit(unit) if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
-    # the units row leaves the row names out, too
+    # the units row omits the row names too
     if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
         beside = [None, *beside]
     columns = tuple(
@@ -321,7 +321,7 @@ def _stem(name: str) -> str:
 
 
 def trimmed(row: Sequence[str]) -> list[str]:
-    """The row without empty cells at its end."""
+    """Return the row without empty cells at its end."""
     kept = list(row)
     while kept and not kept[-1]:
         kept.pop()
@@ -329,12 +329,12 @@ def trimmed(row: Sequence[str]) -> list[str]:
 
 
 def _spoken(rows: Rows, first: int) -> dict[str, str]:
-    """Units said in comments that are lists of pairs and nothing else: `t in s, u in V`."""
+    """Return units from comments that consist only of pairs: `t in s, u in V`."""
     said = {}
     for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
-        for between in (",", " "):  # cells were cut at commas or the like, or at blanks
+        for between in (",", " "):  # cells were cut at commas or at blanks
             parts = [p.strip() for p in re.split(r"[,;]|\s{2,}", between.join(cells)) if p.strip()]
-            # whole parts alone: a sentence with "min" in it says no unit
+            # only whole parts: a sentence that contains "min" states no unit
             pairs = [_PAIR.fullmatch(part) for part in parts]
             if commented and pairs and all(pair and spelt(pair[2]) for pair in pairs):
                 said |= {_stem(pair[1]): pair[2] for pair in pairs if pair}

@@ -1,22 +1,22 @@
-"""An input that is written in some rows only, held until it is written again.
+"""Hold an input that is written only in some rows until it is written again.
 
     u_k = 1 / (t_{k+1} - t_k) int_{t_k}^{t_{k+1}} u(s) ds        u(s): the value written last at or before s
 
 A log has a row per message of any topic, or writes a value when it changes. The rows of the output remain. The mean
-over a step has the effect of the input, whenever in the step it changed.
+over a step represents the input wherever in the step it changed.
 """
 
 import numpy as np
 
-_MOST = 0.5  # of the rows of the output: an input that is missing in more was not written there
-_OWN = 0.1  # of the rows: so many of the input alone and of the output alone are rows of messages
+_MOST = 0.5  # fraction of the output's rows: an input missing in more was not written there
+_OWN = 0.1  # fraction of rows with only the input, and with only the output, that shows rows of messages
 
 
 def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return the means of held values over intervals.
 
     Args:
-        time: when each value was written, in s, increasing, shape (T,).
+        time: time of each value in s, increasing, shape (T,).
         values: shape (T,).
         ends: ends of the intervals in s, increasing, shape (K + 1,).
 
@@ -24,20 +24,20 @@ def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.n
         shape (K,).
     """
     integral = np.append(0.0, np.cumsum(values[:-1] * np.diff(time)))
-    # beyond its ends the first and the last value are held
+    # beyond the ends, the first and the last value are held
     at = np.interp(ends, time, integral) + values[-1] * np.maximum(ends - time[-1], 0.0)
     at -= values[0] * np.maximum(time[0] - ends, 0.0)
     return np.diff(at) / np.diff(ends)
 
 
 def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray | None, float]:
-    """Return the columns on the rows of the output, with the input held there, where the input is sparse.
+    """Return the columns on the rows of the output, with a sparse input held there.
 
     Args:
         loaded: by quantity, nan where a cell is empty.
 
     Returns:
-        the columns; which rows they are, or None where the input is not sparse; and the fraction of rows that have it.
+        the columns; their rows, or None if the input is not sparse; and the fraction of rows with an input.
     """
     time, voltage = loaded["time"], loaded["voltage"]
     output = loaded.get("displacement", np.zeros_like(voltage))
@@ -48,7 +48,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
     missing = (seen & ~written).sum() / max(seen.sum(), 1)
     if written.sum() < 2 or not (missing > _MOST or alone >= _OWN) or np.isinf(voltage).any():
         return loaded, None, 1.0
-    # nothing is known of the input before it is written
+    # the input is unknown before it is first written
     first = int(np.argmax(written))
     rows = np.flatnonzero(seen & (np.arange(len(time)) >= first))
     held = loaded | {q: values[rows] for q, values in loaded.items()}
@@ -58,7 +58,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
 
 
 def _held(written: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the held input at the times of rows: its mean to the next row, where both clocks increase."""
+    """Return the held input of every row: its mean up to the next row if both clocks increase."""
     if (np.diff(time) > 0).all() and (np.diff(written) > 0).all():
         ends = np.append(time, 2 * time[-1] - time[-2])
         return mean_of_held(written, values, ends)

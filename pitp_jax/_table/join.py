@@ -1,4 +1,4 @@
-"""Time, input and output in separate files: their columns side by side, and the command that joins them.
+"""Join files that hold time, input and output separately, and propose the command that joins them.
 
 one length, one clock at most, or clocks that agree:  rows side by side
 a clock in every file:                                rows in turn by their times, cells of the other files empty
@@ -28,7 +28,7 @@ _TOGETHER = 6  # files that hold one record
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:
-    """Return every part of a file, with the columns of the files that `join` names beside its own.
+    """Return every part of a file, with the columns of the files that `join` names added.
 
     Raises:
         BadInput: a file cannot be read, or rows do not belong together.
@@ -40,7 +40,7 @@ def joined_parts(path: Path, options: ReadOptions) -> Parts:
 
 
 def _opened(path: Path, options: ReadOptions) -> Parts:
-    """Every part of a file, which may hold one column of numbers."""
+    """Return every part of a file, which may be a single column of numbers."""
     try:
         return open_parts(path, replace(options, sheet=None, split_by=None))
     except NoTable:
@@ -51,7 +51,7 @@ def _opened(path: Path, options: ReadOptions) -> Parts:
 
 
 def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
-    """Several tables as one: their rows side by side, or in turn where every table has its own clock.
+    """Join tables: rows side by side, or in turn if every table has its own clock.
 
     Raises:
         BadInput: the rows do not belong together.
@@ -73,7 +73,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
 
 
 def _rows(table: Table) -> int:
-    """Count the rows of a table by its first column of numbers; 0 where it has none."""
+    """Return the number of rows of a table, by its first column of numbers; 0 if it has none."""
     for place in range(len(table.columns)):
         with suppress(BadInput):
             return len(table.load([place])[0])
@@ -109,7 +109,7 @@ def _side_by_side(tables: Sequence[Table], dropped: dict[int, int]) -> Table:
 
 
 def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) -> Table:
-    """Rows of all tables in the order of their times; a cell is empty where its table has no row."""
+    """Return the rows of all tables in order of time; a cell is empty if its table has no row then."""
     columns, owners = _columns(tables, {k: place for k, (place, _) in enumerate(clocks)})
     time = np.concatenate([values for _, values in clocks])
     order = np.argsort(time, kind="stable")
@@ -135,11 +135,11 @@ def _form(tables: Sequence[Table]) -> str:
 
 
 def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Column, ...], list[tuple[Table, int]]]:
-    """The columns of all tables, and where each is from; names that occur twice get their file in front.
+    """Return the columns of all tables, and their origins; repeated names get their file's name in front.
 
     Args:
         tables: to be joined.
-        dropped: the place of a clock that is left out, by table.
+        dropped: the place of an omitted clock, by table.
     """
     twice = Counter(column.name for table in tables for column in table.columns)
     columns: list[Column] = []
@@ -161,9 +161,9 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
     """Return the refusal of files that together hold a record, with the command that joins them, or None.
 
     Args:
-        files: of one call, none of which can be read.
-        options: what the caller says.
-        quantities: that are sought.
+        files: unreadable files of one call.
+        options: the caller's options.
+        quantities: the wanted ones.
     """
     folder = files[0].parent
     if options.join is not None or any(file.parent != folder or file.is_dir() for file in files):
@@ -177,7 +177,7 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
             sizes.append(_rows(table))
             tables.append(table)
     groups = [[t for t, other in zip(tables, sizes, strict=True) if other == size] for size in dict.fromkeys(sizes)]
-    # files of one length first, then files with clocks of their own
+    # files of one length first, then files with their own clocks
     for group in [*groups, tables]:
         words = _options(group, options, quantities) if 2 <= len(group) <= _TOGETHER else None
         if words is not None:
@@ -189,7 +189,7 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
 
 
 def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options with which joined tables are a record; None where they are not, or one is without others."""
+    """Return the options with which joined tables are a record; None if they are not, or if one is complete alone."""
     alone = [_missing(table, options, quantities) for table in tables]
     if any(words is None for words in alone):
         return None
@@ -205,7 +205,7 @@ def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence
 
 
 def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options that a table lacks, empty where none would do; None where it lacks nothing."""
+    """Return the reading options that would complete a table (empty if none would); None if it is complete."""
     try:
         choose_columns(table, options, quantities)
     except BadInput as error:

@@ -1,4 +1,4 @@
-"""MATLAB files up to version 7 (.mat): flattened and counted before SciPy's reader, which has no bottom, sees them."""
+"""Flatten and check MATLAB files up to version 7 (.mat), because SciPy's reader does not limit its recursion."""
 
 import io
 import struct
@@ -12,16 +12,16 @@ _DEEPEST, _ELEMENTS = 4, 20_000
 
 
 def flat(data: bytes, source: str) -> io.BytesIO:
-    """The file with its elements unfolded, none nested deeper than a struct of vectors.
+    """Return the file with its elements decompressed, none nested deeper than a struct of vectors.
 
     Args:
         data: the whole file.
         source: its name, for messages.
 
     Raises:
-        BadInput: truncated, damaged, nested too deeply or unfolding to too much.
+        BadInput: truncated, damaged, nested too deeply, or too large when unpacked.
     """
-    # the mark MI as the writer's machine stored it
+    # the mark MI in the byte order of the writer's machine
     order = "<" if data[126:128] == b"IM" else ">"
     pieces, at, unfolded, budget = [data[:128]], 128, 0, [_ELEMENTS]
     while at + 8 <= len(data):
@@ -42,7 +42,7 @@ def flat(data: bytes, source: str) -> io.BytesIO:
 
 
 def _check_nesting(element: memoryview, order: str, source: str, budget: list[int], depth: int = 0) -> None:
-    """Refuse cells in structs in cells: scipy's reader calls itself for each."""
+    """Refuse cells in structs in cells, because SciPy's reader calls itself for each."""
     budget[0] -= 1
     if depth > _DEEPEST or budget[0] < 0:
         raise BadInput(f"{source}: nested too deeply or in too many parts; store one vector per variable")

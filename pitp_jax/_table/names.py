@@ -1,6 +1,6 @@
-"""What the name of a column says: its unit, and whether it is a time, an input or an output.
+"""Parse the name of a column: its unit, and its role as time, input or output.
 
-header -> (what is measured, unit, what stands where a unit would and is none) and a role by its words
+header -> (what is measured, unit, text in place of a unit) and a role by its words
 
 Only ratios of the table are units: in `Field V/um`, `v_mm/s2` or `N/m` no part is the unit of the column.
 """
@@ -24,10 +24,10 @@ _VOCABULARY = {
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
     "command cmd setpoint desired des goal target soll demand ctrl action".split()
-)  # also before the word "position"
+)  # a command even beside the word "position"
 _PORTS = frozenset(
     "input inputs output outputs in out vin vout eingang ausgang".split()
-)  # of the DAQ or of the actuator, who knows
+)  # of the DAQ or of the actuator, which is unknown
 _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
 _ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None, "K": None}
@@ -36,19 +36,19 @@ _OWN = {
     "K": {"temperature", "temp", "t"},
 }  # fmt: skip
 _R_BRACKETS = re.compile(r"\.\.([^.\s]+)\.$")  # R makes `Weg..mm.` of `Weg (mm)`
-_PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # what no quantity is called
+_PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # units, never names of a quantity
 
 
 @dataclass(frozen=True)
 class Header:
-    """A column's name as it reads.
+    """A parsed column name.
 
     Attributes:
-        stem: what is measured.
+        stem: the measured quantity.
         unit: its unit, or None.
-        unknown: what stands in the place of a unit and is none that we know, or None.
+        unknown: text in place of a unit that is not a known unit, or None.
         words: of the stem, in lower case.
-        role: "time", "input", "output" or None where its words say nothing or two things.
+        role: "time", "input", "output", or None if its words give none or two.
     """
 
     stem: str
@@ -59,22 +59,22 @@ class Header:
 
     @property
     def roles(self) -> list[str]:
-        """The roles that any of its words gives."""
+        """Return the roles that any of its words indicates."""
         return [role for role, known in _WORDS.items() if self.words & known]
 
     @property
     def clock_only(self) -> bool:
-        """Whether it is the name of a clock and nothing else: `time`, no `cycle time` and no `latency`."""
+        """Return whether the name is only that of a clock: `time`, but not `cycle time` or `latency`."""
         return bool(self.words) and self.words <= _WORDS["time"]
 
     @property
     def port_only(self) -> bool:
-        """Whether nothing but the words input or output gives its role."""
+        """Return whether only the words input or output indicate the role."""
         return self.role is not None and (self.words & _WORDS[self.role]) <= _PORTS
 
 
 def read_header(text: str) -> Header:
-    """Take a header apart: `Weg [µm]`, `U/V`, `time_s`, `Time in ms`, `Field V/um`."""
+    """Parse a header: `Weg [µm]`, `U/V`, `time_s`, `Time in ms`, `Field V/um`."""
     stem, unit, unknown = _parted(plain(text))
     words = _words(stem)
     if unit is not None:  # v may be a voltage or a velocity, t a time or a temperature
@@ -88,7 +88,7 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     unknown, text = None, _R_BRACKETS.sub(r" (\1)", text)
     for bracket in _BRACKETS.finditer(text):
         inside = bracket[1]
-        # `(in)` is an inch, the word before a unit is none
+        # `(in)` is an inch, the word before a unit is not
         inch = inside == "in" and text[: bracket.start()].strip() not in ("V", "I")  # V(in) is a node of SPICE
         unit = "inch" if inch else spelt(inside) or spelt(re.split(r"[,;]", inside)[0])
         unit = unit or {"C": "degC"}.get(inside)  # a bare C is a channel
@@ -97,14 +97,14 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
         if not inside.isdecimal():  # position[2] is the third joint
             unknown = inside or unknown
     if unknown:
-        # A logger's serial number may follow the unit: `HV, kV (LGR S/N: 10)`
+        # A logger's serial number may follow the unit: `HV, kV (LGR S/N: 10)`.
         bare = _BRACKETS.sub("", text).strip()
         stem, unit, _ = _parted(bare) if "," in bare else (text, None, None)
         return (stem, unit, None) if unit else (text, None, unknown)
     if (whole := spelt(text)) and len(text) > 1 and whole not in ("min", "h", "d"):
         return text, whole, None
     text = re.sub(r"\s*/\s*", "/", text)
-    # what follows the last blank or underscore: `U/V`, `v_mm/s`
+    # the text after the last blank or underscore: `U/V`, `v_mm/s`
     last = re.split(r"[\s_,;:]+", text)[-1]
     if "/" in last:
         return _ratio(text, last)
@@ -118,12 +118,12 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
         words = _words(stem)
         suits = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
         if not suits and not (unit == "m" and words & _COMMANDS):  # a commanded position
-            return text, None, None  # `Channel A` is no current
+            return text, None, None  # `Channel A` is not a current
     return stem, unit, None
 
 
 def _ratio(text: str, last: str) -> tuple[str, str | None, str | None]:
-    """A header that ends in `a/b`: a unit of the table, `quantity/unit`, or a ratio that is no unit of ours."""
+    """Parse a header that ends in `a/b`: a known unit, `quantity/unit`, or an unknown ratio."""
     if unit := spelt(last):
         return text.removesuffix(last).rstrip(" /_,:;-") or text, unit, None
     above, _, below = last.partition("/")
@@ -137,12 +137,12 @@ def _ratio(text: str, last: str) -> tuple[str, str | None, str | None]:
 
 
 def _words(stem: str) -> frozenset[str]:
-    # é as e: names come with and without accents
+    # é as e, because names come with and without accents
     lower = "".join(c for c in unicodedata.normalize("NFKD", stem.lower()) if not unicodedata.combining(c))
     # digits and camel case separate words: `Voltage0`, `laserHead`
     parts = re.findall(r"[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", lower))
     words = {w for k, w in enumerate(parts) if len(w) > 1 or k == 0} | ({lower} & {"x_value"})
-    # no blanks between words there
+    # Chinese and Japanese have no blanks between words
     far_east = {w for known in _WORDS.values() for w in known if ord(w[0]) > 0x3000 and w in stem}
     return frozenset(words | far_east)
 
@@ -153,6 +153,6 @@ def _role(words: frozenset[str]) -> str | None:
     # a commanded position is an input, though a position is an output
     if words & _COMMANDS:
         return "input"
-    # `input displacement` says two things, so nothing
+    # `input displacement` indicates two roles, so none
     named = [role for role, known in _WORDS.items() if words & known]
     return named[0] if len(named) == 1 else None

@@ -1,8 +1,9 @@
-"""What the user says about record files: columns, units, scales, rate, and how their text is written.
+"""Options of reading that the user states: columns, units, scales, rate, and the format of text.
 
 u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
 
-A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; what the caller says wins.
+A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; the caller's options take
+precedence.
 """
 
 import json
@@ -20,7 +21,7 @@ from .units import spelt, units_of
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
 FOLDER_FILE = "pitp.toml"
-_RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a word of Python's
+_RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
 
 
 def option_of(name: str) -> str:
@@ -30,21 +31,21 @@ def option_of(name: str) -> str:
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """What is said about record files; None leaves it to the file.
+    """Options stated by the user; None leaves the decision to the file.
 
     Attributes:
         time_column, input_column, output_column: exact headers, or numbers of columns from 1.
-        time_unit, input_unit, output_unit: units of these columns, over what the file says.
+        time_unit, input_unit, output_unit: units of these columns, instead of the file's.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        rate: samples per second of files without time, and of any clock.
+        rate: samples per second of files without time, or instead of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
         separator, decimal, encoding: of text.
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
         from_s, to_s: the range of time of every recording, in s after its first row.
-        join: files with the other columns of the same rows, where time, input and output stand in separate files.
+        join: files with the other columns of the same rows, if time, input and output are in separate files.
         joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
@@ -73,7 +74,7 @@ class ReadOptions:
     joint: str | None = None
 
     def __post_init__(self):
-        """Refuse what no file could be read with."""
+        """Refuse options with which no file could be read."""
         problems = []
         for quantity, stem in OPTIONS.items():
             unit = self.unit(quantity)
@@ -122,24 +123,24 @@ class ReadOptions:
         return problems
 
     def column(self, quantity: str) -> str | None:
-        """The header asked for."""
+        """Return the requested header."""
         return getattr(self, f"{OPTIONS[quantity]}_column")
 
     def unit(self, quantity: str) -> str | None:
-        """The unit asked for."""
+        """Return the requested unit."""
         return getattr(self, f"{OPTIONS[quantity]}_unit")
 
     def scale(self, quantity: str) -> float | None:
-        """The scale asked for; None for the time."""
+        """Return the requested scale; None for the time."""
         return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
 
     def said(self) -> dict[str, Any]:
-        """Return what is not None, by the long names of options; a joint is its two columns."""
+        """Return the options that are not None by their long names; a joint becomes its two columns."""
         values = {option_of(f.name): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         return {name: value for name, value in values.items() if value is not None}
 
     def words(self) -> list[str]:
-        """The options as a command line has them."""
+        """Return the options as words of a command line."""
         return [word for name, value in self.said().items() for word in (f"--{name}", *_words(value))]
 
 
@@ -150,7 +151,7 @@ def _words(value: Any) -> list[str]:
 
 
 def folder_file(said: dict[str, dict[str, Any]]) -> str:
-    """The text of a `pitp.toml` that says this of each file.
+    """Return the text of a `pitp.toml` that states these options for each file.
 
     Args:
         said: options by file name.
@@ -163,10 +164,10 @@ def folder_file(said: dict[str, dict[str, Any]]) -> str:
 
 
 def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options with those of `pitp.toml` beside the file; what the caller says wins.
+    """Return the options with those of `pitp.toml` beside the file; options of the caller take precedence.
 
     Raises:
-        BadInput: the file is not TOML, holds keys that are not options, or names joints and the caller names none.
+        BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
     """
     said = _of_file(path)
     source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
@@ -174,7 +175,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         said["units_line"] = str(said["units_line"])
     if "join" in said:
         said["join"] = joined_in(path)
-    # what stands on the command line
+    # the options of the caller
     own = {f.name: getattr(options, f.name) for f in fields(options)}
     if options.joint is not None and options.joint not in joints:
         raise BadInput(f"{cleaned(path)}: {source} names no joint {options.joint!r}; add it to `each` there")
@@ -191,7 +192,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
 
 
 def joined_in(path: Path) -> tuple[str, ...]:
-    """Return the files that `join` in `pitp.toml` joins to a file; none where the folder has no such file."""
+    """Return the files that `join` in `pitp.toml` joins to a file; empty if there are none."""
     try:
         names = _of_file(path).get("join", ())
     except BadInput:  # refused when the file is read
@@ -201,7 +202,7 @@ def joined_in(path: Path) -> tuple[str, ...]:
 
 
 def joints_in(path: Path) -> list[str]:
-    """Name the joints that `each` in `pitp.toml` gives to a file, or to the files of a folder."""
+    """Return the names of the joints that `each` in `pitp.toml` gives to a file, or to the files of a folder."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     return list(dict.fromkeys(name for file in files for name in joints_of(_of_file(file).get("each", {}))))
 
@@ -230,7 +231,7 @@ def joints_of(each: Any) -> dict[str, tuple[str, str]]:
 
 
 def _of_file(path: Path) -> dict[str, Any]:
-    """Return what `pitp.toml` beside a file says of it, by the names of `ReadOptions` and `each`."""
+    """Return the options of `pitp.toml` beside a file, by the names of `ReadOptions` and `each`."""
     file = path.parent / FOLDER_FILE
     if not file.is_file():
         return {}
@@ -250,7 +251,7 @@ def _of_file(path: Path) -> dict[str, Any]:
         if strange:
             keys = ", ".join(sorted(known))
             raise BadInput(f"{source}: {', '.join(strange)}: no option of reading; the keys are {keys}")
-        # later tables win, so that one file can differ from its kind
+        # later tables take precedence, so that one file can differ from its kind
         if fnmatch(path.name, glob):
             said |= {known[key.replace("_", "-")]: value for key, value in table.items()}
     return said

@@ -1,4 +1,4 @@
-"""The units of a model, in one place: the words and the factors that every command, page, file and export uses.
+"""Units of a model in one place: the words and factors that every command, page, file and export uses.
 
     input    V of a voltage, otherwise the unit of the model's records
     output   the unit of the model's records
@@ -16,44 +16,44 @@ from .units import from_base, kind_of, to_base
 
 @dataclass(frozen=True)
 class Quantity:
-    """A quantity in the unit in which it is shown."""
+    """A quantity with the unit in which it is shown."""
 
     unit: str
 
     @property
     def factor(self) -> float:
-        """The base value of one unit."""
+        """Return the base value of one unit."""
         return float(to_base(1.0, self.unit))
 
     @property
     def rate(self) -> str:
-        """The unit of its change per second."""
+        """Return the unit of its change per second."""
         return per_second(self.unit)
 
     def shown(self, base):
-        """Convert values in the base unit to this unit; any shape."""
+        """Convert values from the base unit to this unit; any shape."""
         return from_base(base, self.unit)
 
     def base(self, shown):
-        """Convert values in this unit to the base unit; any shape."""
+        """Convert values from this unit to the base unit; any shape."""
         return to_base(shown, self.unit)
 
     def text(self, base: float, digits: int = 4) -> str:
-        """Write a value in the base unit with this unit: `18.41 mm`."""
+        """Return a value in the base unit as text with this unit: `18.41 mm`."""
         return f"{float(self.shown(base)):.{digits}g} {self.unit}"
 
     def rate_text(self, base: float, digits: int = 4) -> str:
-        """Write a rate in base units per second: `2e+04 V/s`."""
+        """Return a rate in base units per second as text: `2e+04 V/s`."""
         return f"{float(self.shown(base)):.{digits}g} {self.rate}"
 
     def range_text(self, low: float, high: float, digits: int = 4) -> str:
-        """Write a range in base units: `0 to 2500 V`."""
+        """Return a range in base units as text: `0 to 2500 V`."""
         return f"{float(self.shown(low)):.{digits}g} to {self.text(high, digits)}"
 
 
 @dataclass(frozen=True)
 class Units:
-    """The units of a model's input and output, and what follows from them.
+    """The units of a model's input and output, and derived units.
 
     Attributes:
         records_input, output: the units of the model's records.
@@ -66,71 +66,71 @@ class Units:
 
     @property
     def input(self) -> Quantity:
-        """The input as it is shown: V of a voltage, otherwise the records' own unit."""
+        """Return the input as shown: V for a voltage, otherwise the records' own unit."""
         return Quantity("V") if kind_of(self.records_input.unit) == "voltage" else self.records_input
 
     @property
     def si(self) -> Quantity:
-        """The output in coefficients and exported code: m of a length, otherwise the records' own unit."""
+        """Return the output in coefficients and exported code: m for a length, otherwise the records' own unit."""
         return Quantity("m") if self.is_length else self.output
 
     @property
     def limit(self) -> Quantity:
-        """The output in limits without a unit: mm of a length, otherwise the records' own unit."""
+        """Return the output in limits without a unit: mm for a length, otherwise the records' own unit."""
         return Quantity("mm") if self.is_length else self.output
 
     @property
     def is_length(self) -> bool:
-        """Tell whether the output is a length."""
+        """Return whether the output is a length."""
         return kind_of(self.output.unit) == "length"
 
     @property
     def input_word(self) -> str:
-        """The input in words: `voltage`, otherwise `input`."""
+        """Return the input in words: `voltage`, otherwise `input`."""
         return "voltage" if self.input.unit == "V" else "input"
 
     @property
     def output_word(self) -> str:
-        """The output in words: `displacement` of a length, otherwise `output`."""
+        """Return the output in words: `displacement` for a length, otherwise `output`."""
         return "displacement" if self.is_length else "output"
 
     @property
     def velocity_word(self) -> str:
-        """The output's rate in words: `velocity` of a length, otherwise `rate of the output`."""
+        """Return the output's rate in words: `velocity` for a length, otherwise `rate of the output`."""
         return "velocity" if self.is_length else "rate of the output"
 
     @property
     def max_input(self) -> str:
-        """The option that limits the input."""
+        """Return the option that limits the input."""
         return "--max-voltage" if self.input_word == "voltage" else "--max-input"
 
     @property
     def max_rate(self) -> str:
-        """The option that limits the input's rate."""
+        """Return the option that limits the input's rate."""
         return "--max-slew" if self.input_word == "voltage" else "--max-input-rate"
 
     @property
     def max_output(self) -> str:
-        """The option that limits the output."""
+        """Return the option that limits the output."""
         return "--max-displacement" if self.is_length else "--max-output"
 
     @property
     def force(self) -> str:
-        """The unit of the force."""
+        """Return the unit of the force."""
         return f"{grouped(self.input.unit)}^2" if self.squared else self.input.unit
 
     @property
     def force_factor(self) -> float:
-        """The base value of one unit of force."""
+        """Return the base value of one unit of force."""
         return self.input.factor ** (2 if self.squared else 1)
 
     def coefficient(self, i: int) -> tuple[float, str]:
-        """Return what takes a_i in base units to its unit, and that unit: force times s^i over the output's."""
+        """Return the factor from base units to the shown unit of a_i (force times s^i over output), and that unit."""
         seconds = ("", " s", f" s^{i}")[min(i, 2)]
         return self.si.factor / self.force_factor, f"{self.force}{seconds}/{grouped(self.si.unit)}"
 
     def parameter(self, template: str, force: float) -> tuple[float, str]:
-        """Return what takes a number of an effect from base units to the shown ones, and its unit.
+        """Return the factor from base to shown units of an effect's parameter, and its unit.
 
         Args:
             template: its unit, where V stands for the input and x for the output.
@@ -151,7 +151,7 @@ class Units:
 
 
 def _powers(unit: str) -> dict[str, float]:
-    """Read the powers of V and x off a product of units such as `V^2 s/x`."""
+    """Return the powers of V and x in a product of units such as `V^2 s/x`."""
     powers = {"V": 0.0, "x": 0.0}
     for sign, part in zip((1, -1), unit.split("/", 1), strict=False):
         for name, power in re.findall(r"([A-Za-z]+)(?:\^(\(1/2\)|\d+))?", part):
@@ -161,7 +161,7 @@ def _powers(unit: str) -> dict[str, float]:
 
 
 def grouped(unit: str) -> str:
-    """Put a unit of several parts in brackets, so that it can stand behind a stroke or under a power."""
+    """Return a unit of several parts in brackets, to be used in a denominator or with a power."""
     return f"({unit})" if re.search(r"[ /]", unit) else unit
 
 

@@ -1,4 +1,4 @@
-"""Refusals that lead somewhere: what is wrong, what the file holds, and the complete command to try.
+"""Refusals of files: the problem, the content of the file, and the complete command to try.
 
 <file>: <problems> (columns here: ...); try: pitp check FILE --option VALUE ...        at most 600 characters
 """
@@ -13,13 +13,13 @@ _LONGEST, _PROGRAM = 600, len("pitp: error: ") + 2
 
 
 class Refused(BadInput):
-    """A file that cannot be read as it is, with what would cure it.
+    """A file that cannot be read as it is, with the options that would solve the problem.
 
     Attributes:
         source: the file.
-        why: what is wrong, without the file.
-        options: words of a command line that cure it; empty where none does.
-        aside: what may be shortened: the columns here.
+        why: the problem, without the file.
+        options: words of a command line that solve it; empty if none does.
+        aside: text that may be shortened: the columns of the file.
     """
 
     def __init__(self, source: str, why: str, options: Sequence[str] = (), aside: str = ""):
@@ -31,21 +31,21 @@ class Refused(BadInput):
 def composed(
     sources: Sequence[str], why: str, options: Sequence[str], aside: str, paths: Sequence[str], before: str = ""
 ) -> str:
-    """One line of at most 600 characters; what is wrong is shortened before the command is.
+    """Return one line of at most 600 characters; the problem is shortened before the command.
 
     Args:
-        sources: the files it is about.
-        why: what is wrong.
-        options: that cure it.
-        aside: told where there is room.
+        sources: the files concerned.
+        why: the problem.
+        options: that solve it.
+        aside: added if there is room.
         paths: for the command.
-        before: what stands before the first file.
+        before: text before the first file.
     """
     short = [os.path.basename(source) for source in sources] if options else sources  # the command has the whole path
     named = ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")
     command = "; try: " + shlex.join(["pitp", "check", *paths, *options]) if options else ""
     room = _LONGEST - _PROGRAM - len(command) - len(before) - len(named) - 2
-    # the command must be whole, or it cannot be run
+    # the command must be complete to run
     if len(why) > room:
         why = why[: max(room - 3, 40)].rstrip() + "..."
     text = f"{why} ({aside})" if aside and len(why) + len(aside) + 3 <= room else why
@@ -53,11 +53,11 @@ def composed(
 
 
 def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) -> str:
-    """All refusals in one line: alike ones once, and one command for the first kind that has one.
+    """Return all refusals in one line: equal ones once, and one command for the first kind that has one.
 
     Args:
         refusals: of single files.
-        files: how many were tried.
+        files: number of files tried.
         paths: as the user gave them, for the command.
     """
     if len(refusals) == 1:
@@ -66,7 +66,7 @@ def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) 
     for refusal in refusals:
         source, _, why = str(refusal).partition(": ")
         curable = isinstance(refusal, Refused)
-        # files of one kind are refused for one reason: said once
+        # files of one kind are refused for one reason, reported once
         key = (refusal.why, refusal.options, refusal.aside) if curable else (why, (), "")
         kinds.setdefault(key, []).append(refusal.source if curable else source)
     before = f"{len(refusals)} of {files} files are refused: "

@@ -1,7 +1,7 @@
-"""Logs of robots and of data frames: rosbag2 folders, MCAP and Parquet files as columns (extra `robot`).
+"""Logs of robots and data frames: rosbag2 folders, MCAP and Parquet files as columns (extra `robot`).
 
 message of a topic -> /topic.field[i], in SI    rows: the messages of the output's topic
-u(t) = what was sent last at or before t        (a command holds until the next one)
+u(t) = the last value sent at or before t        (a command holds until the next one)
 """
 
 import re
@@ -20,8 +20,8 @@ from .table import Column, Table, array_table, sample
 if TYPE_CHECKING:
     import pandas as pd
 
-_OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own: no signal of a machine
-_LONGEST = 256  # entries of an array that are columns; images and scans are longer
+_OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own, not signals of a machine
+_LONGEST = 256  # entries of an array that become columns; images and scans are longer
 _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messages
     (r"\.positions?\[\d+\]$", "rad"), (r"\.velocit(y|ies)\[\d+\]$", "rad/s"), (r"\.efforts?\[\d+\]$", "N m"),
     (r"\.(position|translation)\.[xyz]$", "m"), (r"\.linear\.[xyz]$", "m/s"), (r"\.force\.[xyz]$", "N"),
@@ -31,21 +31,21 @@ _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messag
 
 
 def is_bag(path: Path) -> bool:
-    """Whether a folder is one recording of rosbag2."""
+    """Return whether a folder is one recording of rosbag2."""
     return path.is_dir() and (path / "metadata.yaml").is_file()
 
 
 def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """A Parquet file: its columns, dates as seconds, lists as `name[1]`, ...; `unit` in a column's metadata counts."""
+    """Return the columns of a Parquet file: dates as seconds, lists as `name[1]`, ..., units from the metadata."""
     if not file_bytes(path, 4).startswith(b"PAR1"):
         raise BadInput(f"{cleaned(path)}: is not a Parquet file as its suffix says; write it again")
-    import pandas as pd  # here: `pitp info` reads no table, and loads none
+    import pandas as pd  # imported here, because `pitp info` reads no table
     import pyarrow.parquet
 
     with pyarrow.parquet.ParquetFile(path) as file:
         schema, about = file.schema_arrow, file.metadata
     check_count(about.num_rows, cleaned(path))
-    # the footer says what the columns unfold to
+    # the footer states the decompressed size of the columns
     unfolded = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
     check_unfolded(unfolded, path.stat().st_size, cleaned(path))
 
@@ -68,7 +68,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
 
 
 def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
-    """Return how many numbers each cell of a column of lists holds; 0 where it holds none or very many."""
+    """Return how many numbers each cell of a column of lists holds; 0 if none or too many."""
     from pyarrow import types
 
     listed = types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type)
@@ -79,7 +79,7 @@ def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
 
 
 def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
-    """Numbers of a column, or of one entry of its lists; nan where empty; dates and spans in seconds."""
+    """Return the numbers of a column or of one list entry; nan if empty; dates and spans in seconds."""
     import pandas as pd
 
     if entry is not None:
@@ -92,7 +92,7 @@ def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
 
 
 def bag(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """A rosbag2 folder or an MCAP file: every number of every topic is a column, their clock is told."""
+    """Return a rosbag2 folder or an MCAP file as a table: a column for every number of every topic, and a clock."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -111,7 +111,7 @@ def bag(path: Path, options: ReadOptions) -> list[list[Table]]:
 
 
 def _wanted(topic: str, options: ReadOptions) -> bool:
-    """Whether a topic is read: where input and output are said, theirs alone, else all but ROS's own."""
+    """Return whether a topic is read: those of the stated input and output, otherwise all but ROS's own."""
     said = (options.input_column, options.output_column)
     if all(said):
         return any(str(name).startswith(f"{topic}.") for name in said)
@@ -119,13 +119,13 @@ def _wanted(topic: str, options: ReadOptions) -> bool:
 
 
 def _stamp(message: Any) -> float:
-    """The time in a message's header, s; nan where it has none or nobody set it."""
+    """Return the time in a message's header, s; nan if it has none or it was never set."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return np.nan if stamp is None or not (stamp.sec or stamp.nanosec) else stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
-    """Every number in a message with its place; headers, layouts and long arrays are passed over."""
+    """Yield every number in a message with its place; headers, layouts and long arrays are skipped."""
     if isinstance(value, (np.ndarray, list)):
         for k, entry in enumerate(value if len(value) <= _LONGEST else ()):
             yield from _numbers(entry, f"{place}[{k}]")
@@ -138,10 +138,10 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
 
 
 def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float]]]]) -> Table:
-    """Topics as one table, whose rows are the messages of the last column asked for: the output's."""
+    """Return topics as one table, whose rows are the messages of the last column asked for (the output)."""
     import pandas as pd
 
-    # one clock for all topics: two would shift command against answer
+    # one clock for all topics: two would shift command against response
     unset = [topic for topic, each in rows.items() if np.isnan([stamp for _, stamp, _ in each]).any()]
     clocks = {topic: np.array([row[0 if unset else 1] for row in each]) for topic, each in rows.items()}
     values = {topic: pd.DataFrame([row[2] for row in each]) for topic, each in rows.items()}
@@ -154,7 +154,7 @@ def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float
 
     def load(asked: Sequence[int]) -> list[np.ndarray]:
         topics = [places[k][0] for k in asked if places[k][0]] or list(rows)[:1]
-        begin = max(clocks[topic][0] for topic in topics)  # nothing is known of a command before the first one
+        begin = max(clocks[topic][0] for topic in topics)  # a command is unknown before its first message
         # the rows are those of the output, asked for last
         time = clocks[topics[-1]]
         time = time[time >= begin]

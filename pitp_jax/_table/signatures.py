@@ -1,4 +1,4 @@
-"""Programs that sign their text files: a signature wins at once, since it says how the rest is written.
+"""Text formats of programs that sign their files; the signature determines the rest of the layout.
 
 LabVIEW Measurement     separator, decimal mark, units and names by its own keys
 TwinCAT Scope           keys in every second cell, a clock beside every channel
@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"[\d.,-]+")
 
 
 def labview(lines: Sequence[str], source: str) -> Layout | None:
-    """LabVIEW's measurement files (.lvm).
+    """Return the layout of LabVIEW's measurement files (.lvm), or None.
 
     Raises:
         BadInput: no names below its last header, or a clock for every channel.
@@ -36,23 +36,23 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
             f"{source}: LabVIEW wrote a clock for every channel (X_Columns Multi); write one (X_Columns One)"
         )
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
-    if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names left out
+    if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names omitted
         names = ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
     else:
         first += 1
     units = ["s" if what.lower() in ("time", "") else "?", *said.get("y_unit_label", [])]
     columns = [Column(cleaned(n), u or None) for n, u in zip(names, [*units, *[""] * len(names)], strict=False)]
-    # without a clock the first column is empty, and Delta_X says the step
+    # without a clock the first column is empty, and Delta_X gives the step
     step = f"Delta_X {said.get('delta_x', [''])[0]}" if clock.lower() == "no" else ""
     columns[0] = Column("", form="text") if step else columns[0]
-    # the comment column is often not filled
+    # the comment column is often empty
     width = max(len(names), *(len(row) for row in rows[first:]))
     columns += [Column("", form="text")] * (width - len(columns))
     return Layout(separator, decimal or ".", tuple(columns), first, width, ("LabVIEW measurement",), step)
 
 
 def twincat(lines: Sequence[str], source: str) -> Layout | None:
-    """Exports of TwinCAT Scope: `key value key value`, then `clock value clock value`."""
+    """Return the layout of TwinCAT Scope exports (`key value key value`, `clock value clock value`), or None."""
     rows = [[cell.strip() for cell in line.split("\t")] for line in lines]
     keyed = {row[0].lower(): row for row in rows if len(row) > 1 and len(set(row[0::2])) == 1 and not row[0].isdigit()}
     names, units = keyed.get("name"), keyed.get("unit")

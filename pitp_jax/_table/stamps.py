@@ -1,6 +1,6 @@
-"""Dates and hours as seconds.
+"""Convert dates and hours to seconds.
 
-t = date + hour in s since 1970 where there is a date; else s since midnight, plus 86400 s at every midnight passed
+t = date + hour in s since 1970 if there is a date; otherwise s since midnight, plus 86400 s at every midnight passed
 """
 
 import re
@@ -18,12 +18,12 @@ _STAMP = re.compile(rf"(({_DATE})[T ]+)?\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?( 
 
 
 def is_stamp(cell: str) -> bool:
-    """Whether a cell is an hour, with or without its date."""
+    """Return whether a cell is an hour, with or without its date."""
     return bool(_STAMP.match(cell))
 
 
 def seconds(stamps: Sequence[str]) -> np.ndarray:
-    """Times in s, shape (T,), nan where a stamp is empty.
+    """Return times in s, shape (T,), nan where a stamp is empty.
 
     Args:
         stamps: `2026-11-23 10:00:00.123`, `23.11.2026 10:00:00,123` or `10:00:00.123`.
@@ -44,14 +44,14 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
         raise ValueError("no dates and hours")
     # at midnight a wrong order jumps by a month or a year
     read = [values for values in read if np.nanmax(np.abs(np.diff(values)), initial=0.0) < _DAY] or read
-    # points are written where the day comes first; within a day the order changes no step
+    # points separate dates in which the day comes first; within a day the order changes no step
     if "." in dated[0] or all(np.array_equal(np.diff(read[0]), np.diff(v), equal_nan=True) for v in read):
         return read[0]
     raise ValueError("the day or the month may come first")
 
 
 def _dates(series, order: str) -> np.ndarray | None:
-    """Return dates in s, or None where a date is not of this order."""
+    """Return dates in s, or None if a date is not of this order."""
     import pandas as pd
 
     parts = series.str.extract(rf"^({_DATE})(.*)$")
@@ -70,13 +70,13 @@ def _dates(series, order: str) -> np.ndarray | None:
 
 
 def _iso(text: str, order: str) -> str:
-    """Return a date as 2026-11-23; empty where it is not of this order."""
+    """Return a date as 2026-11-23; empty if it is not of this order."""
     try:
         if re.search("[A-Za-z]", text):  # 23-Nov-2026
             return str(dateutil.parser.parse(text).date())
         numbers = re.split("[-./]", text)
         year = numbers[order.index("y")]
-        # a year has two digits or four; four stand nowhere else
+        # a year has two or four digits; no other part has four
         if len(year) not in (2, 4) or max(map(len, numbers)) > len(year):
             return ""
         return str(date(int(year) + 2000 * (len(year) == 2), *(int(numbers[order.index(part)]) for part in "md")))
@@ -85,8 +85,8 @@ def _iso(text: str, order: str) -> str:
 
 
 def _hours(series) -> np.ndarray:
-    """Hours of a day, on over midnight; `10:01` in steps of one may as well be minutes and seconds."""
-    # hours above 24 are spans of time and go on
+    """Return hours of a day in s, continued over midnight; refuse `10:01`, which may be minutes and seconds."""
+    # hours above 24 are spans of time and continue
     parts = series.str.split(":", expand=True).astype(np.float64).to_numpy()
     if parts.shape[1] == 2:
         raise ValueError("hours and minutes, or minutes and seconds")
@@ -94,5 +94,5 @@ def _hours(series) -> np.ndarray:
 
 
 def over_midnight(values: np.ndarray) -> np.ndarray:
-    """Seconds of the day that go on after midnight."""
+    """Return seconds of the day, continued after midnight."""
     return values + _DAY * np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY / 2)

@@ -1,4 +1,4 @@
-"""A table: what every file format becomes before columns are chosen and units are read.
+"""A table: the common form of every file format, before columns are chosen and units are read.
 
 columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
 """
@@ -23,8 +23,8 @@ class Column:
 
     Attributes:
         name: its exact header, cleaned.
-        beside: what the file says of its unit beside the header (units row, attribute), or None.
-        spoken: what a comment says of it; counts only where nothing else does.
+        beside: its unit in the file outside the header (units row, attribute), or None.
+        spoken: its unit in a comment; used only if there is no other.
         form: "number", "stamp" (dates and hours, loaded as seconds) or "text".
         clock: (first time, step) in s of a channel that has its own clock, or None.
     """
@@ -38,17 +38,17 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of one file (or of a part of it), loaded when asked for.
+    """The columns of one file (or of a part of it), loaded on request.
 
     Attributes:
         path: the file.
-        columns: those it has, in file order, repeats included.
-        load: from places among them to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
+        columns: in file order, with repeats.
+        load: function from their places to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
         place: words for a sample index from 0 (`sample 7 (line 9)`).
-        form: what was recognised, for the summary (`text, separated by ';', decimal comma`).
+        form: recognised format, for the summary (`text, separated by ';', decimal comma`).
         part: the sheet or group that it is, or empty.
-        hint: what the file says of its rate in a place that is no column (`Delta_X 0.001`), or empty.
-        blanks: empty lines among the rows, which lose a sample each where there is no clock.
+        hint: the rate given in the file outside the columns (`Delta_X 0.001`), or empty.
+        blanks: empty lines among the rows; without a clock each is a lost sample.
         texts: the values of a column as text, for splitting by it.
     """
 
@@ -64,12 +64,12 @@ class Table:
 
     @property
     def source(self) -> str:
-        """The file, for messages."""
+        """Return the file, for messages."""
         return cleaned(self.path)
 
 
 def sample(index: int) -> str:
-    """Words for a sample of a file without lines."""
+    """Return words for a sample of a file without lines."""
     return f"sample {index}"
 
 
@@ -83,16 +83,16 @@ def array_table(
     clocks: Mapping = MappingProxyType({}),
     shapes: Mapping = MappingProxyType({}),
 ) -> Table:
-    """Named arrays as a table.
+    """Return named arrays as a table.
 
     Args:
         path: the file.
         stored: arrays, or functions that read one, by name.
-        form: what the file is called.
+        form: name of the file format.
         beside: units beside the data, by name.
-        part: the group, where the file is split by groups.
+        part: the group, if the file is split by groups.
         clocks: (first time, step) of channels that have their own clock.
-        shapes: of what is not read yet; a matrix of samples is a column for each of its lines, counted from 1.
+        shapes: of the arrays not read yet; a matrix of samples gives a column for each of its lines, counted from 1.
 
     Raises:
         BadInput: more columns than reasonable.
@@ -109,8 +109,8 @@ def array_table(
 
 
 def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
-    """A vector as it is; a matrix that is long one way as its columns (or rows) `data[1]`, `data[2]`, ..."""
-    # long one way: an image or a map of both sides long is none
+    """Return a vector unchanged; a long matrix as its columns (or rows) `data[1]`, `data[2]`, ..."""
+    # long in one dimension: an image or a map is long in both
     if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
         return [(name, values)]
 
@@ -126,7 +126,7 @@ def _loaded(values: Any, column: str, source: str) -> np.ndarray:
 
 
 def _text(value: Any) -> str | None:
-    """A unit attribute as text: also bytes, and an array of one string."""
+    """Return a unit attribute as text, also from bytes or an array of one string."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     if isinstance(value, bytes):

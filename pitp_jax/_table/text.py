@@ -1,6 +1,6 @@
 """Text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
 
-bytes -> encodings that fit -> separator and decimal mark -> layouts (a signature wins) -> rows of numbers
+bytes -> possible encodings -> separator and decimal mark -> layouts (a signature decides) -> rows of numbers
 
 Only where the parser fails is the text read row by row, to name the first bad line and column.
 """
@@ -32,21 +32,21 @@ COMMENTS = ("#", "%", "//", "!")
 _ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
 _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
 _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
-_HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are no comments; bytes of one line
+_HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
 _NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
-_BROKEN = 50  # lines looked through for names that are broken within their quotes
+_BROKEN = 50  # lines searched for names with line breaks in quotes
 _KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
 _CUTS = tuple(map(re.compile, (r"\s{2,}|\t", r"[,;]", r"(?<=[\])}])\s+", r"\s+")))
-_DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # no comma between thousands
+_DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # not a comma between thousands
 _DATE = re.compile(rb"(?<![\d.])\d{1,4}([-./])\d{1,2}\1\d{2,4}(?![\d.])")
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
 def text_tables(path: Path, options: ReadOptions) -> list[Table]:
-    """Every table that a text may be, the likeliest first.
+    """Return every table that a text may be, the likeliest first.
 
     Raises:
         BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
@@ -71,7 +71,7 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
 
 
 def single_column(path: Path) -> Table | None:
-    """A text of one number a line, with a name above them or that of the file; None for any other file."""
+    """Return a text of one number a line as a table, with its name from the first line or the file; otherwise None."""
     source = cleaned(path)
     try:
         lines = [line.strip().strip('"') for line in _text(path, source).decode("utf-8").split("\n")]
@@ -94,10 +94,10 @@ def single_column(path: Path) -> Table | None:
 
 
 def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
-    """Return the layout with a decimal comma where only rows below the head have one.
+    """Return the layout with a decimal comma if only rows below the head have one.
 
     Raises:
-        Refused: every comma may stand between thousands.
+        Refused: every comma may separate thousands.
     """
     if layout.separator == "," or b"," not in body:
         return layout
@@ -135,9 +135,9 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
 
 
 def _text(path: Path, source: str) -> bytes:
-    """The unfolded text with plain line ends; UTF-16 becomes UTF-8."""
+    """Return the decompressed text with plain line ends; UTF-16 becomes UTF-8."""
     data, wide = file_bytes(path), None
-    # by its first bytes, since downloads lose or gain suffixes
+    # by its first bytes, because downloads lose or gain suffixes
     zipped = data.startswith(b"\x1f\x8b")
     if path.name.lower().endswith(".gz"):
         if not zipped:
@@ -161,7 +161,7 @@ def _text(path: Path, source: str) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
-    if _ARROW.match(data):  # what a serial monitor puts before every line
+    if _ARROW.match(data):  # a serial monitor's prefix of every line
         data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
@@ -170,7 +170,7 @@ def _text(path: Path, source: str) -> bytes:
 
 
 def _unbroken(data: bytes) -> bytes:
-    """The text with line breaks within quoted names as blanks; the numbers of later lines stay as they are."""
+    """Return the text with line breaks inside quoted names as blanks; later lines keep their numbers."""
     begin = 0
     for _ in range(_BROKEN):
         end = data.find(b"\n", begin)
@@ -180,7 +180,7 @@ def _unbroken(data: bytes) -> bytes:
             close = data.find(b'"\n', end)
             row = data[begin : close + 1]
             if not 0 < close - begin < _LONGEST or row.count(b"\n") > _BROKEN or row.count(b'"') % 2:
-                break  # a lone quote is an inch
+                break  # a single quote is an inch
             data = data[:begin] + row.replace(b"\n", b" ") + b"\n" * row.count(b"\n") + data[close + 1 :]
             end = begin + len(row)
         begin = end + 1
@@ -188,7 +188,7 @@ def _unbroken(data: bytes) -> bytes:
 
 
 def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
-    """Encodings that the head of a text may have: UTF-8 where it fits, else all others that do."""
+    """Return encodings that the head of a text may have: UTF-8 if it fits, otherwise all others that do."""
     if options.encoding is not None:
         try:
             head.decode(options.encoding)
@@ -204,11 +204,11 @@ def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
         if encoding == "utf-8":
             return [encoding]
         fitting.append(encoding)
-    return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 takes any bytes
+    return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 accepts any bytes
 
 
 def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
-    """Where the first lines that are not empty begin and end, and their numbers; comments do not count."""
+    """Return start, end and number of the first lines that are not empty; comments do not count."""
     spans, begin, number, plain = [], 0, 0, 0
     while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
         # bounded, so that a binary file without line ends costs nothing
@@ -227,7 +227,7 @@ def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
 
 
 def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source: str) -> list[Layout]:
-    """The layouts of text: that of a signature, else all that the rows allow."""
+    """Return the layouts of text: that of a signature, otherwise all that the rows allow."""
     stated = (options.header_line, options.units_line, options.separator, options.decimal)
     if stated == (None,) * 4:
         for signature in SIGNATURES:
@@ -249,9 +249,9 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
 def _recut(
     lines: Sequence[str], cells: list[list[str]], commented: Sequence[bool], separator: str, decimal: str
 ) -> list[list[str]]:
-    """Return the rows of cells; names of another number of cells are cut elsewhere where that gives as many as usual.
+    """Return the rows of cells; names are split differently if that gives the usual number of cells.
 
-    Names between blanks may hold single blanks. A comment may have separators of its own, or none behind brackets.
+    Names between blanks may hold single blanks. A comment may have other separators, or none behind brackets.
     """
     filled = [trimmed(row) for row in cells]  # a separator may end each row of numbers
     widths = Counter(
@@ -274,12 +274,12 @@ def _recut(
 
 
 def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
-    """Columns whose numbers carry their unit (`0.001 sec`); it is taken off, and stands beside the column."""
+    """Remove units from columns whose numbers carry one (`0.001 sec`); return them by column."""
     marked = {}
     for k in range(max(map(len, cells), default=0)):
         column = [row[k] for row in cells if k < len(row)]
         units = [m[1] for m in map(_DURATION.match, column) if m and spelt(m[1])]
-        # most cells carry it, and all the same: else it is text
+        # most cells have the same one; otherwise it is text
         if 2 * len(units) > len(column) and len(set(units)) == 1:
             marked[k] = units[0]
             for row in cells:
@@ -300,17 +300,17 @@ def _bare(line: str) -> str:
 
 
 def cells_of(line: str, separator: str) -> list[str]:
-    """A line as its cells, stripped."""
+    """Return a line as its cells, stripped."""
     if separator == " ":
         line = line.strip().replace("\t", " ")
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, str]:
-    """The separator and decimal mark by which most cells of rows of numbers are numbers.
+    """Return the separator and decimal mark for which most cells in rows of numbers are numbers.
 
     Raises:
-        BadInput: none makes a table.
+        BadInput: none gives a table.
     """
     best, dialect = 0.0, None
     for separator in (options.separator,) if options.separator else _SEPARATORS:
@@ -318,7 +318,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
             rows = [cells_of(line, separator) for line in plain]
         except csv.Error:
             continue
-        # the point first: it wins where a file has whole numbers alone
+        # the point first, because it is the default if a file has only whole numbers
         for decimal in (options.decimal,) if options.decimal else ".,":
             score = _score(rows, decimal)
             # equal scores keep the separator tried first
@@ -330,7 +330,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
 
 
 def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
-    """Fraction of the rows that have the usual length and hold numbers, times that of their cells which are numbers."""
+    """Return the fraction of rows with the usual length and numbers, times the fraction of numbers in their cells."""
     widths: dict[int, list[int]] = {}
     for row in rows:
         filled = trimmed(row)
@@ -343,20 +343,20 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
             counts[2] += sum(map(bool, filled))
     if not widths:
         return 0.0
-    # the usual length is that of most rows, headers and settings have others
+    # the usual length is that of most rows; headers and settings have others
     many, good, filled = max(widths.values())
     return good / filled * many / len(rows)
 
 
 def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
-    """The line a sample stands in, counted from 1; the file is read again for it."""
+    """Return the line of a sample, counted from 1; the file is read again for it."""
     lines = enumerate(_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
     filled = (number for number, line in lines if _is_row(line, separator))
     return next(islice(filled, sample, None), above + 1 + sample)
 
 
 def _is_row(line: bytes, separator: str) -> bool:
-    """Whether a line is a row of cells: no comment, not empty."""
+    """Return whether a line is a row of cells: not a comment, not empty."""
     return bool(line.strip()) and not line.startswith(_MARKS)
 
 
@@ -367,21 +367,21 @@ def _first_bytes(body: bytes) -> np.ndarray:
 
 
 def _rows_only(body: bytes, layout: Layout) -> bytes:
-    """The text without comment lines, blank lines, and rows without a filled cell at its end."""
+    """Return the text without comment lines, blank lines, and empty rows at its end."""
     # one pass over the lines: a search for each mark took a ninth of the reading of a long file
     if np.isin(_first_bytes(body), _NO_ROW).any():
         body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
-    # rows of separators alone, which a sheet leaves below its data
+    # rows of separators alone, which a spreadsheet leaves below its data
     kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
     end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
     return body if end < 0 else body[:end]
 
 
 def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
-    """Wanted columns by the C parser, or None where the text needs a closer look."""
+    """Return the wanted columns by the C parser, or None if the text needs a closer look."""
     import pandas as pd
 
-    # quotes about numbers only cost the parser its fast path
+    # quotes around numbers only slow the parser down
     if b'"' in body:
         body = body.replace(b'"', b"")
     if not _rectangular(body, layout):
@@ -405,8 +405,8 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
 
 
 def _rectangular(body: bytes, layout: Layout) -> bool:
-    """True where every row has the usual number of cells."""
-    # counted in bytes, since the C parser fills short rows without a word
+    """Return whether every row has the usual number of cells."""
+    # counted in bytes, because the C parser fills short rows silently
     codes = np.frombuffer(body, dtype=np.uint8)
     ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
     if layout.separator == " ":
@@ -427,7 +427,7 @@ def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
 
 
 def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int], str]) -> list[np.ndarray]:
-    """Wanted columns row by row; refuses the first bad row with its line and column."""
+    """Return the wanted columns row by row; refuse the first bad row with its line and column."""
     values, width = [], layout.width
     try:
         for row in _split(body, layout, encoding):
@@ -448,10 +448,10 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
 
 
 def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
-    """The cells of column k as numbers, dates and hours as seconds.
+    """Return the cells of column k as numbers; dates and hours as seconds.
 
     Raises:
-        BadInput: with the first cell that is none.
+        BadInput: with the first cell that is not a number.
     """
     column = layout.columns[k]
     if column.form == "stamp":

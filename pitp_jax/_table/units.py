@@ -68,31 +68,31 @@ _SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.spl
 
 
 def plain(text: str) -> str:
-    """A text with compatibility characters (full width, `㎜`, `²`) written plainly and micro signs as u."""
+    """Return a text with compatibility characters (full width, `㎜`, `²`) written plainly and micro signs as u."""
     return unicodedata.normalize("NFKC", text).replace("Âμ", "u").replace("µ", "u").replace("μ", "u").strip()
 
 
 def spelt(text: str) -> str | None:
-    """The unit that a text is a spelling of (`µm`, `Volts`, `кВ`), or None."""
+    """Return the unit that a text spells (`µm`, `Volts`, `кВ`), or None."""
     bare = plain(text).strip("()[]{}<>").strip().removesuffix(".")
     if bare in ("Nm", "mNm"):  # nm is a length
         return bare[:-1] + " m"
-    # the exact symbol first: mV is no MV, and Pa no PA
+    # the exact symbol first, because mV is not MV, and Pa not PA
     return bare if bare in _FACTORS else _SPELLINGS.get(bare.lower())
 
 
 def kind_of(unit: str | None) -> str | None:
-    """The kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None for None."""
+    """Return the kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None for None."""
     return _KIND[unit] if unit is not None else None
 
 
 def units_of_kind(unit: str) -> tuple[str, ...]:
-    """The units of the same kind as `unit`, that one first."""
+    """Return the units of the same kind as `unit`, that one first."""
     return (unit, *(other for other in _KINDS[_KIND[unit]] if other != unit))
 
 
 def column_name(quantity: str, unit: str) -> str:
-    """The name of a column in the files that we write: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
+    """Return the name of a column that pitp writes: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
 
     Args:
         quantity: `voltage` (the input) or `displacement` (the output).
@@ -104,7 +104,7 @@ def column_name(quantity: str, unit: str) -> str:
 
 
 def column_names(quantity: str) -> tuple[str, ...]:
-    """The exact column names that a quantity may have.
+    """Return the exact column names that a quantity may have.
 
     Args:
         quantity: `time`, `voltage` or `displacement`.
@@ -116,7 +116,7 @@ def column_names(quantity: str) -> tuple[str, ...]:
 
 
 def units_of(quantity: str) -> tuple[str, ...]:
-    """The units that a quantity may have.
+    """Return the units that a quantity may have.
 
     Args:
         quantity: `time`, `voltage` or `displacement`.
@@ -125,7 +125,7 @@ def units_of(quantity: str) -> tuple[str, ...]:
 
 
 def to_base(values, unit: str):
-    """Values in the base unit; decimal parts of a unit divide by a whole number, so that decimal times stay exact.
+    """Return values in the base unit; decimal fractions divide by a whole number, so that decimal times stay exact.
 
     Args:
         values: array in `unit`, any shape.
@@ -136,7 +136,7 @@ def to_base(values, unit: str):
 
 
 def from_base(values, unit: str):
-    """Values in `unit` from values in the base unit; the inverse of `to_base`.
+    """Return values in `unit` from values in the base unit; the inverse of `to_base`.
 
     Args:
         values: array in the base unit, any shape.
@@ -147,10 +147,10 @@ def from_base(values, unit: str):
 
 
 def _parts(scale: float) -> bool:
-    """Whether a unit is a whole part (a thousandth) of its base."""
+    """Return whether a unit is a whole fraction (a thousandth) of its base."""
     return scale < 1 and abs(round(1 / scale) * scale - 1) < 1e-12
 
 
 def base_unit(unit: str) -> str:
-    """The base unit of a unit: `m` of lengths, `V` of voltages, `rad` of angles."""
+    """Return the base unit of a unit: `m` of lengths, `V` of voltages, `rad` of angles."""
     return next(iter(_KINDS[_KIND[unit]]))

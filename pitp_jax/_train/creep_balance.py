@@ -1,13 +1,13 @@
-"""Fit creep that outlasts the training records to the long record that the nominal keeps.
+"""Fit creep that is slower than the training records to the long record that the nominal model stores.
 
-    r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 what the equation leaves, as a displacement
+    r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 residual of the equation, as a displacement
     minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range )^2
     for p = 1  and  p = 3 (x - mean_w x) / std_w x;     range: of the whole record, since a window may stand still
 
-Along measured motion the memories are known, and a window's mean sees the slow part alone, for which the equation is as
-good as a free run: no run is needed, and a resonance that training never saw costs nothing, since a window counts only
-where the motion stays within the trained region. A mean does not see how the slow memories act at either end of the
-stroke; the part of r that goes with x does, below the resonance (docs/decisions/creep.md).
+Along measured motion the memories are known. A window's mean contains only the slow part, for which the equation is as
+good as a free run, so no simulation is needed. Resonances outside the training records do not matter, because a window
+counts only where the motion stays within the trained region. A mean does not show how the slow memories act at either
+end of the stroke; the part of r proportional to x does, below the resonance (docs/decisions/creep.md).
 """
 
 from dataclasses import dataclass
@@ -27,16 +27,16 @@ from .._record.preprocess import cutoff, force_band, preprocess
 from .._simulate.decoder import scaled_force
 from .parameters import trainable, with_parameters
 
-_WEIGHT = 0.1  # lambda, beside a mean over records of squares of e_rms in %
-_ENDS, _BELOW = 3.0, 0.7  # of the part that goes with x, beside the mean; in windows slower than that resonance
+_WEIGHT = 0.1  # lambda, relative to a mean over records of squares of e_rms in %
+_ENDS, _BELOW = 3.0, 0.7  # weight of the second moment; fraction of the resonance below which a window's motion must be
 _WINDOWS, _FEWEST_WINDOWS = 100, 10
-_WINDOW_SAMPLES = 6  # at least, of those kept: 1.5 periods of the fastest drive; a short record has fewer windows
-_COVERED = 0.9  # part of a window that must lie in the trained region
+_WINDOW_SAMPLES = 6  # at least, of those kept: 1.5 periods of the fastest input; a short record has fewer windows
+_COVERED = 0.9  # fraction of a window that must lie in the trained region
 OUTLASTS = 1.5  # times the longest training run
 
 
 class _Series(eqx.Module):
-    """Drive voltage (V), scaled displacement; scaled states of every `step`-th sample, their weights in both means."""
+    """Voltage (V), scaled displacement; scaled states of every `step`-th sample with weights of both moments."""
 
     voltage: Float[Array, " time"]
     x: Float[Array, " time"]
@@ -47,7 +47,7 @@ class _Series(eqx.Module):
     step: int = eqx.field(static=True)
 
     def kept(self, along: Float[Array, "time ..."]) -> Float[Array, "windows size ..."]:
-        """Take every `step`-th row, and cut these into windows."""
+        """Return every `step`-th row, cut into windows, shape (windows, size, ...)."""
         rows = along[:: self.step]
         windows, _, size = self.weight.shape
         return rows[: windows * size].reshape(windows, size, *rows.shape[1:])
@@ -58,9 +58,9 @@ class SlowBalance:
     """The windows of a long record, in the scales of one model.
 
     Attributes:
-        series: what was measured.
-        scale: per window, from a scaled force to 100 x / range; 0 where the window does not count.
-        seconds: how long the record is.
+        series: the measured series.
+        scale: per window, factor from a scaled force to 100 x / range; 0 if the window does not count.
+        seconds: length of the record, s.
     """
 
     series: _Series
@@ -68,12 +68,12 @@ class SlowBalance:
     seconds: float
 
     def errors(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, " rows"]:
-        """Compute the residuals at these trained numbers, two a window."""
+        """Compute the residuals at these trained parameters, two per window."""
         moments = np.asarray(_moments(with_parameters(model, vector), self.series), np.float64)
         return (self._row_scale[:, None] * moments).ravel()
 
     def slopes(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, "rows parameters"]:
-        """Compute their derivatives; the balance does not know the effects, so theirs are zero."""
+        """Compute their derivatives; those of effects are zero, because the balance ignores effects."""
         slopes = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
         slopes = np.pad(slopes, ((0, 0), (0, 0), (0, len(vector) - slopes.shape[-1])))
         return (self._row_scale[:, None, None] * slopes).reshape(-1, len(vector))
@@ -83,13 +83,13 @@ class SlowBalance:
         return self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))  # squared and summed: lambda times a mean
 
     def features(self, model: Model) -> np.ndarray:
-        """Collect states and memories of all samples that count, shape (samples, n + K)."""
+        """Return states and memories of all samples that count, shape (samples, n + K)."""
         past = _past(model.memory, self.series)
         return np.concatenate([self.series.states[..., :-1], past], -1)[np.asarray(self.series.weight[:, 0]) > 0]
 
 
 def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
-    """Cut the long record into windows within `region` (per feature lowest and highest); None where hardly any are."""
+    """Cut the long record into windows within `region` (lowest and highest feature values); None if hardly any are."""
     record = long.record()
     force = np.asarray(model.input_map.force(jnp.asarray(record.voltage)), np.float64)
     motion = preprocess(record, model.order, cutoff(force_band([force], long.dt), long.dt), force,
@@ -103,7 +103,7 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
     count = shape[0] * shape[1]
     rows = states[:: long.step][:count].reshape(*shape, -1)
     inside = valid[:count].reshape(shape) & ((rows[..., :-1] >= low) & (rows[..., :-1] <= high)).all(-1)
-    # a window that leaves the region crosses a resonance training never saw: its mean would be of another motion
+    # a window that leaves the region includes motion (a resonance) that training never covered
     inside &= inside.mean(1, keepdims=True) >= _COVERED
     used = inside.any(1)
     if used.sum() < _FEWEST_WINDOWS:
@@ -118,11 +118,11 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
 
 
 def _below(model: Model, rows: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Mark windows that move slower than the resonance: where inertia takes part, r is not what a free run leaves."""
+    """Mark windows slower than the resonance; with inertia, r differs from the residual of a free run."""
     swing, speed = (
         np.sqrt(np.maximum((mean * v**2).sum(1) - (mean * v).sum(1) ** 2, 0)) for v in np.moveaxis(rows[..., :2], -1, 0)
     )
-    # of a sine: speed = w swing; a mix of frequencies counts by its fast part, which is the part to beware of
+    # for a sine, speed = w swing; a mix of frequencies is judged by its fast part, the critical one
     return float(model.scales.rates[0]) * speed < _BELOW * model.natural_frequency * swing
 
 
@@ -137,13 +137,13 @@ def _force(model: Model, drive, series: _Series):
 
 
 def _balance(model: Model, encoder, past, state):
-    """Compute what the equation gives for the scaled force at one instant."""
+    """Compute the scaled force that the equation gives at one instant."""
     return equation_force(model, list(encoder(jnp.concatenate([state[:-1], past]))), list(state))[0]
 
 
 @jit
 def _moments(model: Model, series: _Series) -> Float[Array, "windows moments"]:
-    """Compute every window's two means of what the equation leaves (a scaled force)."""
+    """Compute both moments of the equation's residual (a scaled force) in every window."""
     along = jax.vmap(jax.vmap(lambda past, state: _balance(model, model.encoder, past, state)))
     residual = along(_past(model.memory, series), series.states) - _force(model, model.drive, series)
     return jnp.einsum("wmt,wt->wm", series.weight, residual)
@@ -151,7 +151,7 @@ def _moments(model: Model, series: _Series) -> Float[Array, "windows moments"]:
 
 @jit
 def _slopes(model: Model, series: _Series) -> Float[Array, "windows moments parameters"]:
-    """Differentiate `_moments` by the numbers of encoder, memory and drive."""
+    """Differentiate `_moments` with respect to the parameters of encoder, memory and drive."""
     params, static = eqx.partition(model, trainable(model))
     encoder, build_encoder = ravel_pytree(params.encoder)
     memory, build_memory = ravel_pytree(params.memory)
@@ -168,12 +168,12 @@ def _slopes(model: Model, series: _Series) -> Float[Array, "windows moments para
 
     def window(item):
         state, past, past_by, force_by, weight = item
-        # one number out of many weights: reverse mode, instant by instant
+        # one output of many weights: reverse mode, instant by instant
         by_encoder, by_past = jax.vmap(jax.grad(balance, (0, 1)), (None, 0, 0))(encoder, past, state)
         by_memory = jnp.einsum("tk,tkq->tq", by_past, past_by)
         return weight @ jnp.concatenate([by_encoder, by_memory, -force_by], 1)
 
-    # whole series out of a few time constants: forward mode
+    # whole series of a few time constants: forward mode
     slopes = jax.jacfwd(past)(memory), jax.jacfwd(force)(drive)
-    # window by window: the encoder's slopes of all samples at once would not fit the cache
+    # window by window, because the encoder's slopes of all samples would not fit the cache
     return jax.lax.map(window, (series.states, past(memory), *slopes, series.weight))

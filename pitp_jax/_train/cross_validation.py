@@ -1,9 +1,9 @@
-"""Leave one record out: how well every record is predicted by a model that never saw it.
+"""Leave-one-record-out cross-validation: the error on every record of a model trained without it.
 
     for every record k:    nominal and training on the others  ->  e_k of the free run of record k
 
-Fitted and predicted errors of like size say that the records tell about the actuator; where record k is predicted ten
-times worse than it is fitted, it holds what no other one does, or the model learned the records instead.
+If fitted and predicted errors are similar, the records describe the actuator. If record k is predicted ten times worse
+than fitted, either it contains something that no other record does, or the model has learned the records instead.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,14 +17,14 @@ from .._record.record import Record
 from .errors import errors
 from .training import train
 
-_WORSE = 10.0  # times the fitted error, from which a prediction is warned of
+_WORSE = 10.0  # times the fitted error; a larger prediction error gives a warning
 
 
 @dataclass(frozen=True)
 class HeldOut:
     """Errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
 
-    `problem`: why there is no model of the others; then `predicted` is infinite.
+    `problem`: why training on the other records failed; then `predicted` is infinite.
     """
 
     name: str
@@ -34,8 +34,8 @@ class HeldOut:
 
     @property
     def suspect(self) -> bool:
-        """Whether it is predicted ten times worse than fitted."""
-        # not <=, rather than >: a prediction that is no number is suspect too
+        """Return whether the prediction error exceeds ten times the fitted error."""
+        # not <= instead of >, because nan is suspect too
         return not self.predicted <= _WORSE * self.fitted
 
 
@@ -50,7 +50,7 @@ def cross_validate(
     """Train once without every record that moves, and predict it.
 
     Args:
-        nominal: to start from, or a function that identifies one on the records that it is given.
+        nominal: the initial model, or a function that identifies one on given records.
         records: the training records.
         model: trained on all of them, for the fitted errors.
         key, options: as for `train`.
@@ -64,7 +64,7 @@ def cross_validate(
     Examples:
         >>> left_out = pitp.cross_validate(nominal, records, model, key=jax.random.key(0))  # doctest: +SKIP
     """
-    moving, _ = in_motion(records)  # a still record is predicted by any model
+    moving, _ = in_motion(records)  # any model predicts a still record
     if len(moving) < 2:
         raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
     fitted = errors(model, moving)
@@ -79,6 +79,6 @@ def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained
     try:
         start = nominal if isinstance(nominal, Model | Fitted) else nominal(others)
         blind = trained((start, others)).model
-    except (BadInput, ComputationFailed) as error:  # of one fold alone: the others still say what they say
+    except (BadInput, ComputationFailed) as error:  # only this fold fails; the others remain valid
         return HeldOut(one.name, fitted, float("inf"), str(error))
     return HeldOut(one.name, fitted, float(errors(blind, [one])[0]))

@@ -1,4 +1,4 @@
-"""Turn records and a nominal model into what training reads: scaled states, memories and forces on the device, once.
+"""Convert records and a nominal model into training data on the device: scaled states, memories and forces.
 
 X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (docs/readings.md: eqs. 3, 6, 8, 9)
 """
@@ -21,13 +21,13 @@ from .equation_error import EquationData
 
 @dataclass(frozen=True)
 class Dataset:
-    """What training reads.
+    """The training data of a set of records.
 
     Attributes:
         model: the nominal in the new scales, with the memory (tokens still constant).
         equation: valid samples of all records, flat.
         features: per record the scaled state and memory at every sample, shape (T, n + K).
-        valid: per record, samples whose filtered state may be trusted, shape (T,).
+        valid: per record, True where the filtered state is valid, shape (T,).
         region: lowest and highest value of every feature over valid samples.
     """
 
@@ -46,14 +46,14 @@ def build_dataset(
     difference: str,
     memory: Callable[[Sequence[StateRecord]], eqx.Module],
 ) -> Dataset:
-    """Filter, differentiate, scale and remember; `memory` is made from the filtered motion.
+    """Filter, differentiate and scale the records; `memory` is built from the filtered motion.
 
     Raises:
         BadInput: no usable sample left after filtering.
     """
     dt = records[0].dt
     forces = [nominal.input_map.force(r.voltage) for r in records]
-    # one cutoff for all records: filtered apart, one equation would be fitted to differently smoothed motions
+    # one cutoff for all records; otherwise one equation would be fitted to differently smoothed motions
     f_max = force_band(forces, dt)
     cut = cutoff(f_max, dt)
     states = [
@@ -76,13 +76,13 @@ def build_dataset(
     for r, s in zip(records, states, strict=True):
         x = s.states / scale
         rest = starts_at_rest(r, nominal.output.offset, nominal.natural_frequency)
-        # of a record that begins moving nothing is known of the past: as if it had been held where it is
+        # the past of a record that starts moving is unknown: assume it was held at its first position
         start = model.memory.initial(jnp.asarray(0.0 if rest else x[0, 0], jnp.float32))
         past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)
         features.append(np.concatenate([x[:, :-1], np.asarray(past)], -1).astype(np.float32))
         equation.append((features[-1][s.valid], x[s.valid], s.force[s.valid] / model.scales.force))
     flat = [jnp.asarray(np.concatenate(part), jnp.float32) for part in zip(*equation, strict=True)]
-    # with the memories as they are before any free run: `training._region` counts them again afterwards
+    # with the memories before any free run: `training._region` computes it again afterwards
     everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
     weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
     data = EquationData(*flat, weight=weight)
@@ -90,16 +90,16 @@ def build_dataset(
 
 
 def region_of(*rows: np.ndarray) -> Float[np.ndarray, "features 2"]:
-    """Find lowest and highest value of every feature over all of these rows of features."""
+    """Return the lowest and highest value of every feature over all of these rows, shape (features, 2)."""
     return np.stack([np.min([r.min(0) for r in rows], 0), np.max([r.max(0) for r in rows], 0)], -1).astype(float)
 
 
 def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np):
-    """Weigh samples so as to even out how densely the state space was visited; mean 1, at most `most` times the least.
+    """Return sample weights that even out the density of visited states: mean 1, at most `most` times the least.
 
-    A record of steps stands still for 99 % of its samples; what it says about motion is in the others. Each sample gets
-    1 / sqrt(samples in its cell), on a grid of the states, of the first three at most. Where `valid` is false a sample
-    has weight 0. `xp` is the array's module: numpy or jax.numpy.
+    A record of steps stands still for 99 % of its samples, and only the others show its motion. Each sample gets 1 /
+    sqrt(samples in its cell), on a grid of the first three states at most. Samples with false `valid` have weight 0.
+    `xp` is the array's module: numpy or jax.numpy.
     """
     s = state[:, :3]  # cells of more dimensions would hold one sample each
     valid = xp.ones(len(s), bool) if valid is None else valid
@@ -109,12 +109,12 @@ def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np
     options = {} if xp is np else {"length": cells ** s.shape[1]}
     weight = 1.0 / xp.sqrt(xp.maximum(xp.bincount(flat, 1.0 * valid, **options)[flat], 1.0))
     least = xp.where(valid, weight, xp.inf).min()
-    weight = xp.where(valid, xp.minimum(weight, most * least), 0.0)  # one sample alone in a cell may be an outlier
+    weight = xp.where(valid, xp.minimum(weight, most * least), 0.0)  # a single sample in a cell may be an outlier
     return weight / weight.mean()
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:
-    """Express the same nominal in scales taken from the training data.
+    """Return the nominal model in scales taken from the training data.
 
     "rms": each derivative over its training rms. "paper": eq. 3, x^(i) over x_rms d^(i - k/2...) with d = 2 pi f_max,
     centred on k = floor(n/2) with a factor sqrt(d) per derivative.

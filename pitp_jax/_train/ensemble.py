@@ -1,11 +1,11 @@
-"""Estimate uncertainty from a small ensemble: models trained alike from different keys, rolled out side by side.
+"""Estimate uncertainty from a small ensemble: models trained with different keys and simulated together.
 
     x(t) = mean_k x_k(t),    band = x(t) +- sqrt( t_{K-1}(p)^2 (1 + 1/K) var_k x_k(t) + b(p)^2 )
     b(p) = range Q(p) t_R(p) / z(p)       p: level;  t, z: Student's and the normal quantile of |.|
 
-What the members agree on by mistake no spread can show, so b stands beside it: Q are the quantiles of the mean's
-|error| / range on the R training records. Errors of free runs are not normal: most are small, and a few are large.
-Student's factor stands for the R records that Q is known from (docs/decisions/training.md).
+The spread cannot show an error common to all members, so b is added: Q are the quantiles of the mean's |error| / range
+on the R training records. Errors of free runs are not normal: most are small, and a few are large. Student's factor
+accounts for the R records behind Q (docs/decisions/training.md).
 
 Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
@@ -37,18 +37,18 @@ from .._simulate.decoder import rollout
 from .._simulate.prediction import FAR, at_rate, starts
 from .training import train
 
-_LEVELS = 201  # quantiles kept of the errors, every half percent
+_LEVELS = 201  # quantiles of the errors, every half percent
 
 
 @dataclass(frozen=True, repr=False)
 class Ensemble(Shown):
-    """Members that differ in trained numbers only.
+    """Members that differ only in trained parameters.
 
     Attributes:
         models: K models, each usable alone.
         error: rms error of the mean on the training records, over the range of each.
         errors: quantiles of |error| / range on those records, at evenly spaced levels from 0 to 1. Empty: `error` times
-            Student's quantile of K - 1 stands for them.
+            Student's quantile of K - 1 is used.
         records: number R of those records.
 
     Raises:
@@ -62,17 +62,17 @@ class Ensemble(Shown):
 
     @staticmethod
     def calibrated(models: Sequence[Model | Fitted], records: Sequence[Record]) -> "Ensemble":
-        """Make an ensemble of trained members with the error of their mean on these records, the training's."""
+        """Return an ensemble of trained members with the error of their mean on these training records."""
         bands = predict_band(Ensemble(tuple(models), 0.0), records)
         errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
-        # quantiles record by record first: a long record counts as much as a short one
+        # quantiles per record first, so that a long record counts as much as a short one
         pooled = np.concatenate([np.quantile(np.abs(e), np.linspace(0, 1, _LEVELS)) for e in errors])
         quantiles = np.quantile(pooled, np.linspace(0, 1, _LEVELS))
         rms = float(np.sqrt(np.mean([np.mean(e**2) for e in errors])))
         return Ensemble(tuple(models), rms, tuple(quantiles.tolist()), len(records))
 
     def floor(self, level: float) -> float:
-        """Compute b / range: the error at this level that the members share."""
+        """Return b / range: the error at this level that the members share."""
         quantile = 0.5 + level / 2
         if not self.errors:
             return self.error * float(scipy.stats.t.ppf(quantile, len(self.models) - 1))
@@ -80,7 +80,7 @@ class Ensemble(Shown):
         return known * float(scipy.stats.t.ppf(quantile, self.records) / scipy.stats.norm.ppf(quantile))
 
     def __post_init__(self):
-        """Refuse one member, which has no spread, and members of two makes, which cannot be run at once."""
+        """Refuse a single member, and members of different structure."""
         _enough(len(self.models))
         first, *others = (_make(model_of(m)) for m in self.models)
         if any(other != first for other in others):
@@ -94,8 +94,8 @@ class Band(Shown):
     Attributes:
         name: of the record.
         displacement, half_width: mean and half the band, rig coordinates (m or V), shape (T,); nan from the sample
-            where a member left every range.
-        diverged: whether one did.
+            where a member diverged.
+        diverged: whether a member diverged.
         scored: samples that count, shape (T,), as for `Prediction`.
     """
 
@@ -107,7 +107,7 @@ class Band(Shown):
 
 
 def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
-    """Train `members` models from keys split off `key`, shared among all JAX processes; `options` as for `train`.
+    """Train `members` models with keys split from `key`, distributed over all JAX processes; `options` as for `train`.
 
     Args:
         nominal, records: as for `train`, the same in every process.
@@ -116,7 +116,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
         **options: as for `train`.
 
     Returns:
-        models, and the error that their spread does not show.
+        models, and the error not shown by their spread.
 
     Raises:
         ValueError: fewer than 2 members.
@@ -127,10 +127,10 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
     _enough(members)
     check_set(records)
     records, _ = in_motion(records)
-    # every process splits alike, and takes its own
+    # every process splits in the same way, and takes its own
     keys, processes = jax.random.split(key, members), jax.process_count()
     mine = range(jax.process_index(), members, processes)
-    # the same records for all: what differs is the start of the nets and the order of minibatches
+    # same records for all; the initial nets and the order of minibatches differ
     models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
     models = _gathered(models, members) if processes > 1 else models
     return Ensemble.calibrated(models, records)
@@ -142,13 +142,13 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     Args:
         ensemble: of `train_ensemble`.
         records: of one sampling rate.
-        level: share of samples the band should cover.
+        level: fraction of samples that the band should cover.
 
     Returns:
         mean and half width per record.
 
     Raises:
-        ValueError: a level that is no share between 0 and 1.
+        ValueError: a level outside 0 to 1.
 
     Examples:
         >>> pitp.predict_band(pitp.Ensemble((model, model), error=0.01), records)[0].half_width.shape
@@ -158,9 +158,9 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
     check_set(records)
     models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
-    finest = max(m.substeps for m in models)  # one program runs all members: at the steps of the one that needs most
+    finest = max(m.substeps for m in models)  # one program runs all members, with the steps of the one that needs most
     stack = _stacked([replace(m, substeps=finest) for m in models])
-    # K members know their spread with K - 1 degrees of freedom
+    # K members estimate their spread with K - 1 degrees of freedom
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
@@ -168,7 +168,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
         states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
         model = models[0]
         x = np.asarray(states, np.float64)
-        # a mean over fewer members from there on would jump: where one is lost, the band ends
+        # the band ends where a member diverges, because a mean over fewer members would jump
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
         x = np.where(lost, np.nan, x) * model.scales.state[0]
         spread = quantile * np.sqrt(1 + 1 / len(x)) * x.std(0, ddof=1)  # 1 / K: the mean itself is uncertain
@@ -184,14 +184,14 @@ def _enough(members: int) -> None:
 
 
 def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
-    """Gather the members of all processes in order; model files also hold what each was made from."""
+    """Gather the members of all processes in order; model files also hold their origins."""
     processes = jax.process_count()
     with TemporaryDirectory() as folder:
         path, packed = Path(folder) / "member.pitp", []
         for model in own:
             save(path, model)
             packed.append(np.frombuffer(path.read_bytes(), np.uint8))
-        # every process brings arrays of one shape: blanks where it trained fewer
+        # every process contributes arrays of one shape: empty ones if it trained fewer
         packed += [np.zeros(0, np.uint8)] * (-(-members // processes) - len(packed))
         sizes = np.asarray(process_allgather(np.array([len(p) for p in packed])))
         padded = np.stack([np.pad(p, (0, sizes.max() - len(p))) for p in packed])
@@ -205,12 +205,12 @@ def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
 
 def _stacked(models: Sequence[Model]) -> Model:
     """Stack the members into one model whose leaves have a leading axis."""
-    # an encoder of one's own may hold functions, which are the same in all
+    # a user's own encoder may hold functions, which are the same in all
     return jax.tree.map(lambda *leaves: leaves[0] if callable(leaves[0]) else jnp.stack(leaves), *models)
 
 
 def _make(model: Model) -> tuple:
-    """Describe what members must have in common: structure, shapes, scales and output."""
+    """Return the properties that members must share: structure, shapes, scales and output."""
     shapes, structure = jax.tree.flatten(jax.tree.map(lambda a: a if callable(a) else jnp.shape(a), model))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 

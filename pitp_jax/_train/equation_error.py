@@ -27,7 +27,7 @@ class EquationData(eqx.Module):
     weight: Float[Array, " samples"]
 
     def take(self, index) -> "EquationData":
-        """Take the minibatch of these samples."""
+        """Return the minibatch of these samples."""
         return jax.tree.map(lambda a: a[index], self)
 
 
@@ -38,7 +38,7 @@ def huber(residual, width: float):
 
 
 def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=None):
-    """Average the loss of eq. 12 over a batch.
+    """Compute the mean loss of eq. 12 over a batch.
 
     Args:
         box: (lower, upper) factors on the nominal tokens, e.g. (0.8, 1.2).
@@ -47,9 +47,9 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
         key: turns dropout on.
 
     Returns:
-        The total, and (L1, L2) apart.
+        The total, and (L1, L2).
     """
-    # a key for every sample: with one for all, dropout would cut the same units in the whole batch
+    # a key for every sample, because one for all would drop the same units in the whole batch
     keys = None if key is None else jax.random.split(key, data.force.shape[0])
     logits = jax.vmap(lambda f, k: model.encoder(f, key=k), (0, None if key is None else 0))(data.features, keys)
     force, tokens = equation_force(model, list(logits.T), list(data.equation.T))
@@ -57,8 +57,8 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
 
 
 def balance(model: Model, residual: Float[Array, " samples"], tokens: Rows, weight, box, *, width: float, penalty):
-    """Average Huber's residuals and the penalties of tokens outside the box: the total, and both apart."""
-    # Huber: where x^(n) is noisy, a few samples would otherwise decide
+    """Compute the mean Huber loss and the penalties of tokens outside the box: the total, and both parts."""
+    # Huber, because a few noisy samples of x^(n) would dominate otherwise
     physics = jnp.mean(weight * huber(residual, width))
     factor = jnp.stack(tokens, -1) / model.coefficients  # the box is in units of the nominal, whatever its sign
     over, under = jax.nn.relu(factor - box[1]), jax.nn.relu(box[0] - factor)

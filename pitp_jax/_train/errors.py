@@ -1,11 +1,11 @@
-"""Compare free runs on the training records: the trained model beside its nominal, as `predict` runs both.
+"""Compare the free runs of the trained and of the nominal model on the training records.
 
     e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
     a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
-Both errors contain the noise, so the difference of their squares is what the trained model adds. An addition below the
-noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then has
-the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
+Both errors contain the noise, so the difference of their squares is the error that training added. An addition below
+the noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then
+has the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -21,15 +21,15 @@ from .._record.initial_state import noise_std
 from .._record.record import Record
 from .._simulate.prediction import predict
 
-_ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: what noise alone makes of a fit
-_DIVERGED = 1e6  # %; what a diverged run counts: means and ratios stay numbers
-_LITTLE = 1.0  # %; a mean error below that is no failure,
-_CLOSED = 0.5  # nor one of at most that fraction of the nominal's
+_ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: the effect of noise on a fit
+_DIVERGED = 1e6  # %; the value of a diverged run, so that means and ratios stay finite
+_LITTLE = 1.0  # %; a smaller mean error is not a failure,
+_CLOSED = 0.5  # nor one of at most this fraction of the nominal's
 
 
 @dataclass(frozen=True)
 class RecordError:
-    """Error of one training record under the nominal and under the trained model, and the sensor's noise.
+    """Error of one training record with the nominal and the trained model, and the sensor's noise.
 
     All are e_rms in % of the record's range (infinite: diverged).
     """
@@ -41,13 +41,13 @@ class RecordError:
 
     @property
     def worse(self) -> bool:
-        """Return whether training lost on this record."""
-        # not <=, rather than >: infinite beside infinite is not a loss, an error that is not a number is one
+        """Return whether training increased the error of this record."""
+        # not <= instead of >: two infinite errors are not a loss, nan is one
         return not self.trained <= _allowed(self.nominal, self.noise)
 
 
 def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """Compute e_rms of the free run of every record, %; infinite where it diverged, 0 where nothing can be counted."""
+    """Compute e_rms of the free run of every record, %; infinite if it diverged, 0 if nothing can be scored."""
     runs = predict(model, records)
     values = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
     return np.nan_to_num(np.array(values), nan=0.0, posinf=np.inf)
@@ -55,7 +55,7 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
 
 @dataclass(frozen=True)
 class Candidate:
-    """A model that training could hand back; errors of the nominal, its own, and the sensor's noise, % of range."""
+    """A possible result of training, with errors of the nominal and of itself, and sensor noise, % of range."""
 
     model: Model
     names: tuple[str, ...]
@@ -65,46 +65,46 @@ class Candidate:
 
     @property
     def mean(self) -> float:
-        """Root of the mean square over records, %."""
+        """Return the rms of the errors over records, %."""
         return _mean(self.trained)
 
     @property
     def worse(self) -> Float[np.ndarray, " records"]:
-        """Return the error over the largest one that is not worse, shape (records,)."""
+        """Return the error divided by the largest acceptable one, shape (records,)."""
         return np.minimum(self.trained, _DIVERGED) / np.clip(_allowed(self.nominal, self.noise), 1e-12, _DIVERGED)
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Number of records that are worse, then the mean error: the smaller the better."""
+        """Return the number of worse records, then the mean error; smaller is better."""
         worse = int((self.worse > 1).sum())
         return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
 
     @property
     def converged(self) -> bool:
-        """Whether no record is worse than under the nominal, and the error beyond noise is small or half closed."""
+        """Return whether no record is worse than with the nominal, and the error without noise is small or halved."""
         return self.rank[0] == 0 and self._small
 
     @property
     def nearly(self) -> bool:
-        """Whether the mean error is small, but some record is worse than under the nominal."""
+        """Return whether the mean error is small, but some record is worse than with the nominal."""
         return self.rank[0] > 0 and self._small
 
     @property
     def _small(self) -> bool:
-        # without the noise, which no model can close: a noisy set would else never count as converged
+        # without noise, which no model can reduce; otherwise a noisy set would never count as converged
         after, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
         return after <= max(_LITTLE, _CLOSED * before)
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
-        """Both errors of every record."""
+        """Return both errors of every record."""
         columns = (self.nominal.tolist(), self.trained.tolist(), self.noise.tolist())
         return tuple(RecordError(n, *e) for n, *e in zip(self.names, *columns, strict=True))
 
 
 @dataclass(frozen=True)
 class Judge:
-    """fn(model): a candidate, from its free runs on these records beside the nominal's."""
+    """A function of a model that compares its free runs on these records with those of the nominal."""
 
     records: Sequence[Record]
     nominal: Float[np.ndarray, " records"]
@@ -117,7 +117,7 @@ class Judge:
 
 
 def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
-    """Build the judge of models trained from this nominal on these records."""
+    """Return the judge of models trained from this nominal on these records."""
     noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))
 
@@ -125,14 +125,14 @@ def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
 def kept(
     best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
 ) -> tuple[Candidate, list[str], str | None]:
-    """Choose what to hand back, worse on no record; lines that say what failed; what stands in for `best`, or None.
+    """Choose the model to return, worse on no record; return it, lines on failures, and the name of a replacement.
 
     `between`: models from this one towards the nominal, which comes last.
     """
     chosen = best
     if best.rank[0]:
         tried = [compare(m) for m in between(best.model)]
-        # the nominal, last, is worse than itself nowhere: there is always something to hand back
+        # the nominal, last, is nowhere worse than itself, so there is always a result
         good = [c for c in tried[:-1] if c.rank[0] == 0]
         chosen = min(good, key=lambda c: c.mean) if good else tried[-1]
         lost = ", ".join(

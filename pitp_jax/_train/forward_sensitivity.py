@@ -1,12 +1,12 @@
-"""Differentiate free runs by every trained number: forward sensitivities through the decoder, block by block.
+"""Differentiate free runs by every trained parameter: forward sensitivities through the decoder, block by block.
 
     s_{t+1} = g(s_t, l_t, q, a),  l_t = encoder(s_t + drift; p),  V = drive(u; r, a),  y = sensor(s; a)
     Z_{t+1} = A_t Z_t + N_t       Z = ds/d(p, q, r, a),  Z_0 = 0,       J = dy/ds Z + dy/da
     A_t = dg/ds + dg/dl dl/ds,    N_t = [dg/dl dl/dp, dg/dq, dg/dV dV/d(r, a), dg/da]
     Z_{t+k} = phi Z_t + sum_j A_{t+k-1} ... A_{j+1} N_j,    phi = A_{t+k-1} ... A_t
 
-p, q, r, a: `parameters`. The states are a plain free run's, so everything but Z is known side by side, and Z takes one
-small product a block (docs/decisions/free_runs.md).
+p, q, r, a: `parameters`. The states come from a plain free run, so everything except Z is computed in parallel, and Z
+needs one small product per block (docs/decisions/free_runs.md).
 """
 
 from functools import partial
@@ -24,13 +24,13 @@ from .._simulate.batched_rollout import fast_rollout
 from .._simulate.decoder import at_rest
 from .parameters import Numbers
 
-_AT_ONCE = 16  # blocks side by side; what is known of them stays in a core's memory
+_AT_ONCE = 16  # blocks side by side; their data stay in a core's memory
 
 
 class Runs(eqx.Module):
-    """Free runs to be fitted: starts, drive voltages, scaled displacements and weights of the samples.
+    """Free runs to be fitted: starts, voltages, scaled displacements and weights of the samples.
 
-    `own_zero`: 1 where a run has a sensor zero of its own, projected out of its errors (variable projection).
+    `own_zero`: 1 where a run has its own sensor offset, projected out of its errors (variable projection).
     """
 
     start: Float[Array, "records state"]
@@ -40,15 +40,15 @@ class Runs(eqx.Module):
     own_zero: Float[Array, " records"] | None = None
 
     def filled(self, parts: int) -> "Runs":
-        """Add copies of the last run, which count for nothing, until `parts` can have equally many."""
+        """Add copies of the last run with weight 0, so that `parts` can have equally many."""
         extra = -len(self.start) % parts
-        # copies of a run that is as good as any: of one that leaves every range the weight 0 would make nan
+        # copies of a valid run, because weight 0 times a diverged one is nan
         more = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[-1:], extra, axis=0)]), self)
         counts = np.arange(len(more.start))[:, None] < len(self.start)
         return eqx.tree_at(lambda r: r.weight, more, more.weight * counts)
 
     def parts(self, count: int) -> list["Runs"]:
-        """Cut the runs into so many parts of equal shape, which share one compiled program."""
+        """Cut the runs into `count` parts of equal shape, which share one compiled program."""
         whole = self.filled(count)
         size = len(whole.start) // count
         return [jax.tree.map(lambda a, k=k: a[k * size : (k + 1) * size], whole) for k in range(count)]
@@ -56,7 +56,7 @@ class Runs(eqx.Module):
 
 @jit
 def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors"]:
-    """Compute sqrt(every w) e at every `every`-th sample, less an incomplete last block."""
+    """Compute sqrt(every w) e at every `every`-th sample, without an incomplete last block."""
     states = fast_rollout(model, runs.voltage, dt, runs.start)
     errors = jax.vmap(lambda run: ports.readings(model, run))(states) - runs.target
     last = runs.target.shape[1] // every * every  # the blocks of `run_slopes`, so that rows match
@@ -64,10 +64,10 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
 
 
 def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
-    """Weigh rows by c = sqrt(every w), less c (c . row) / (c . c) where a run has a zero of its own.
+    """Weight rows by c = sqrt(every w), minus c (c . row) / (c . c) if a run has its own sensor offset.
 
-    That is the residual after the best zero, and the same projection of its slopes is exact (variable projection for
-    a number that enters linearly).
+    The result is the residual after the best offset. The same projection of its derivatives is exact (variable
+    projection for a linear parameter).
     """
     c = jnp.sqrt(every * runs.weight)[:, : rows.shape[1] * every : every, None]
     rows = c * rows
@@ -78,12 +78,12 @@ def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -
 
 
 def _product(a, b):
-    """Multiply two small matrices as a sum: `@` would be a call for every instant."""
+    """Multiply two small matrices as a sum, because `@` would be a call for every instant."""
     return sum(a[:, k, None] * b[k] for k in range(len(b)))
 
 
 class _Local:
-    """One model's answers sample by sample, along states that are known."""
+    """The derivatives of one model, sample by sample, along known states."""
 
     def __init__(self, model: Model, dt: float):
         self.numbers, self.substeps, self.h = Numbers(model), model.substeps, dt / model.substeps
@@ -91,14 +91,14 @@ class _Local:
         self.both = jnp.concatenate([self.numbers.drive, self.numbers.effects])
 
     def stages(self, runs: Runs, dt: float, both):
-        """Compute the film voltages of every run at every stage, under other numbers of drive and effects."""
+        """Compute the film voltages of every run at every stage, with other parameters of drive and effects."""
         cut = self.numbers.drive.size
         return self.numbers.stages(runs.voltage, at_rest(self.numbers.model, runs.start), dt, both[:cut], both[cut:])
 
     def substep(self, state, volts, volts_by):
-        """Differentiate one substep: A_t, dg/dl, N_t less the encoder's part, and what the encoder sees; then step.
+        """Differentiate one substep: A_t, dg/dl, N_t without the encoder's part, its features, and the next state.
 
-        The encoder is differentiated apart: through its few logits its many weights cost one reverse pass a block.
+        The encoder is differentiated separately: with its few logits, all weights cost one reverse pass per block.
         """
         n, h, core = self.numbers, self.h, state[: self.core]
 
@@ -111,7 +111,7 @@ class _Local:
         here = state, n.logits(n.encoder, seen), n.memory, 0 * self.both
         by_state, by_logits, by_memory, by_both = jax.jacfwd(moved, (0, 1, 2, 3))(*here)
         by_seen = _product(by_logits, jax.jacrev(n.logits, 1)(n.encoder, seen))
-        # time constants act twice: on the memory itself, and on what the encoder sees half a step on
+        # time constants act twice: on the memory itself, and on the features half a step later
         others = jnp.concatenate([by_memory + _product(by_seen, seen_by_memory), by_both], 1)
         return (by_state.at[:, : self.core].add(_product(by_seen, by_core)), by_logits, others, seen), moved(*here)
 
@@ -125,7 +125,7 @@ class _Local:
         return jax.tree.map(lambda *a: jnp.stack(a), *along)
 
     def block(self, states, volts, volts_by):
-        """Compute phi and N of a few samples: Z after them is phi Z + N."""
+        """Compute phi and N of a few samples: afterwards Z is phi Z + N."""
         parts = jax.vmap(self.sample)(states, volts, volts_by)
         by_state, by_logits, others, seen = (a.reshape(len(states) * self.substeps, *a.shape[2:]) for a in parts)
         phi, later = jnp.eye(states.shape[1], dtype=states.dtype), []
@@ -133,13 +133,13 @@ class _Local:
             later.append(phi)
             phi = (phi[:, :, None] * by_state[t]).sum(1)
         later = jnp.stack(later[::-1])
-        # rows of (later dg/dl) pulled back through the encoder: no dl/dp of (logits x weights) is ever formed
+        # rows of (later dg/dl) are pulled back through the encoder, so dl/dp (logits x weights) is never formed
         back = jax.vjp(lambda p: jax.vmap(lambda f: self.numbers.logits(p, f))(seen), self.numbers.encoder)[1]
         by_encoder = jax.vmap(lambda rows: back(rows)[0], 1)((later[..., None] * by_logits[:, None]).sum(2))
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):
-        """Compute the slope of the reading from that of the state."""
+        """Compute the derivatives of the reading from those of the state."""
         if not self.with_effects:
             return answer[0]  # the sensor shows x itself
         n = self.numbers
@@ -149,7 +149,7 @@ class _Local:
 
 @jit
 def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
-    """Differentiate `run_errors` by every trained number."""
+    """Differentiate `run_errors` by every trained parameter."""
     local, (records, size), count = _Local(model, dt), runs.start.shape, runs.voltage.shape[1] // every
 
     def through(answer, block):
@@ -157,7 +157,7 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         return phi @ answer + new, jax.vmap(local.sensed)(state, answer)
 
     def chunk(answer, item):
-        """Compute blocks side by side, then Z through them; the slope is taken at each one's first sample."""
+        """Compute blocks in parallel, then Z through them; derivatives are taken at each block's first sample."""
         blocks = item[0][:, :, 0], *jax.vmap(jax.vmap(local.block))(*item)
         return jax.lax.scan(through, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), blocks))
 
@@ -170,6 +170,6 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
     states, stages = fast_rollout(model, runs.voltage, dt, runs.start), partial(local.stages, runs, dt)
     items = chunks(states), chunks(stages(local.both)), chunks(jax.jacfwd(stages)(local.both))
     start = jnp.zeros((records, size, local.numbers.count), states.dtype)
-    # blocks of zeros stand behind the last one: what Z becomes there is cut off here
+    # blocks of zeros follow the last one; the values of Z there are cut off here
     slopes = jax.lax.scan(chunk, start, items)[1].reshape(-1, records, local.numbers.count)[:count]
     return _projected(jnp.moveaxis(slopes, 0, 1), runs, every)

@@ -1,9 +1,9 @@
-"""Pose free runs against their records as one least-squares problem, on all cores or all devices.
+"""Fit free runs to their records as one least-squares problem, on all cores or all devices.
 
     r = [ sqrt(w) (x - x_measured) at every `every`-th sample of every run,  sqrt(rho) (p - p_0),  slow balance ]
 
 A scan over a batch of runs keeps one core busy: on a CPU the batches are cut into parts, a thread to a core. With a
-mesh every device has its own runs; their slopes stay there and only sums of P and P^2 numbers leave it.
+mesh every device has its own runs; their derivatives stay there, and only sums of P and P^2 numbers are transferred.
 """
 
 import os
@@ -22,12 +22,12 @@ from .creep_balance import SlowBalance
 from .forward_sensitivity import Runs, run_errors, run_slopes
 from .parameters import with_parameters
 
-# runs at once on a core: with fewer it waits for its kernels to start, with more for memory
+# runs at once on a core: fewer wait for kernels to start, more wait for memory
 _FEWEST_RUNS, _MOST_RUNS = 4, 128
 
 
 class _OverRuns(eqx.Module):
-    """A function of (model, runs, dt, every) as `over_records` takes it."""
+    """A function of (model, runs, dt, every) with the signature that `over_records` needs."""
 
     function: Callable = eqx.field(static=True)
     dt: float = eqx.field(static=True)
@@ -39,15 +39,15 @@ class _OverRuns(eqx.Module):
 
 
 class FreeRuns:
-    """Residuals of batches of runs, and their slopes, as blocks (`minimise.accelerated`).
+    """Residuals and derivatives of batches of runs, as blocks for `minimise.accelerated`.
 
     Args:
-        model: whose trained numbers are moved.
-        batches: runs to be met, each batch of one length.
+        model: its trained parameters are fitted.
+        batches: runs to be fitted, each batch of one length.
         dt: sampling interval, s.
-        every: every how many samples the error is taken.
-        prior: rho and p_0 per trained number.
-        slow: what else is to be met.
+        every: the error is taken at every `every`-th sample.
+        prior: rho and p_0 per trained parameter.
+        slow: the slow balance to be fitted as well.
         mesh: devices that share every batch; default one device, or all cores of a CPU.
     """
 
@@ -70,19 +70,19 @@ class FreeRuns:
             self._parts = [spread(runs.filled(len(mesh.local_devices)), mesh) for runs in batches]
 
     def errors(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Compute the residuals at these trained numbers."""
+        """Compute the residuals at these trained parameters."""
         runs = [np.asarray(e) for e in self._each(run_errors, vector)]
         slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
     def miss(self, vector: np.ndarray) -> float:
-        """Compute the root mean square error of the runs alone, % of range; infinite where one is lost."""
+        """Compute the rms error of the runs alone, % of range; infinite if one diverges."""
         runs = self._each(run_errors, vector)
         rms = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
         return rms if np.isfinite(rms) else np.inf  # nan would win or lose an argmin at random
 
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
-        """Compute their derivatives by the trained numbers, the last axis."""
+        """Compute their derivatives with respect to the trained parameters, the last axis."""
         runs = self._each(run_slopes, vector)
         slow = [] if self._slow is None else [self._slow.slopes(self._model, vector)]
         return [*runs, np.diag(self._root), *slow]
@@ -94,19 +94,19 @@ class FreeRuns:
             return [over_records(shared, self._mesh, here, (part,)) for part in self._parts]
         if len(self._parts) == 1:
             return [function(here, self._parts[0], *self._how)]
-        # threads, not processes: XLA lets go of the interpreter while it runs, and the arrays stay where they are
+        # threads instead of processes: XLA releases the interpreter while it runs, and arrays need no copy
         with ThreadPoolExecutor(_cores()) as pool:
             return list(pool.map(lambda part: function(here, part, *self._how), self._parts))
 
 
 def _parts_of(runs: int) -> int:
-    """Count the parts that so many runs are cut into; a GPU takes them all at once."""
+    """Return the number of parts that the runs are cut into; a GPU takes them all at once."""
     if jax.default_backend() != "cpu":
         return 1
     return max(min(_cores(), runs // _FEWEST_RUNS), -(-runs // _MOST_RUNS), 1)
 
 
 def _cores() -> int:
-    """Count the cores that this process may use."""
-    # a container or `taskset` may leave fewer than the machine has; macOS and Windows cannot say
+    """Return the number of cores that this process may use."""
+    # a container or `taskset` may allow fewer than the machine has; macOS and Windows do not report it
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,6 +1,6 @@
-"""Collect the trained numbers of a model: as one vector, and apart by what each of them is needed for.
+"""Collect the trained parameters of a model, as one vector and by part.
 
-    p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' numbers
+    p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' parameters
 
 Positive numbers are fitted by their logarithms: no step can make them negative, and a step is a factor.
 """
@@ -20,8 +20,8 @@ from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 
 
 def trainable(model: Model):
-    """Mark every number training may move: encoder weights, memory and drive time constants, effects' numbers."""
-    spec = jax.tree.map(lambda _: False, model)  # coefficients stay: the encoder's factors move the tokens
+    """Mark every number that training may change: encoder weights, time constants, effects' parameters."""
+    spec = jax.tree.map(lambda _: False, model)  # coefficients stay, because the encoder's factors move the tokens
     return eqx.tree_at(_parts, spec, jax.tree.map(_moves, _parts(model), is_leaf=_is_constant))
 
 
@@ -30,7 +30,7 @@ def _is_constant(part) -> bool:
 
 
 def _moves(part):
-    # inside a program the constants are arrays as well: they are told by their class
+    # inside a program the constants are arrays too, and only their class identifies them
     return jax.tree.map(lambda _: False, part) if _is_constant(part) else eqx.is_inexact_array(part)
 
 
@@ -39,29 +39,29 @@ def _parts(model: Model) -> tuple:
 
 
 def _logarithmic(model: Model) -> np.ndarray:
-    """Mark the effects' numbers that are fitted by their logarithm."""
+    """Mark the effects' parameters that are fitted by their logarithm."""
     return np.array([p.positive for e in model.effects for p, _ in e.numbers()], bool)
 
 
 def _stored(model: Model, numbers, xp):
-    """Compute the effects' numbers from what is fitted of them."""
+    """Compute the effects' parameters from their fitted values."""
     logs = _logarithmic(model)
-    # the inner `where` keeps exp from overflowing on numbers that are no logarithms, for the gradient's sake
+    # the inner `where` keeps exp from overflowing on values that are not logarithms, which would spoil the gradient
     return xp.where(logs, xp.exp(xp.where(logs, numbers, 0.0)), numbers)
 
 
 def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Collect all trained numbers in one vector (encoder, memory, drive, effects), and how many of each."""
+    """Return all trained parameters in one vector (encoder, memory, drive, effects), and how many of each."""
     params = eqx.filter(model, trainable(model))
     parts = [np.asarray(ravel_pytree(part)[0], np.float64) for part in _parts(params)]
     logs = _logarithmic(model)
-    # a number that is zero (an effect that is off) has no logarithm: it starts as good as off
+    # zero (an effect that is off) has no logarithm: it starts at a negligible value
     parts[3] = np.where(logs, np.log(np.maximum(np.where(logs, parts[3], 1.0), 1e-30)), parts[3])
     return np.concatenate(parts), np.array([len(p) for p in parts])
 
 
 def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
-    """Put other trained numbers into the model."""
+    """Return the model with other trained parameters."""
     params, static = eqx.partition(model, trainable(model))
     new, first = [], 0
     for part in _parts(params):
@@ -73,7 +73,7 @@ def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameter
 
 
 class Numbers:
-    """A model taken apart: its trained numbers as flat vectors, and what each of them is needed for."""
+    """A model split into flat vectors of its trained parameters, with functions of them."""
 
     def __init__(self, model: Model):
         self.model = model
@@ -81,14 +81,14 @@ class Numbers:
         flat, (self._encoder, self._memory, self._drive, self._effects) = zip(
             *map(ravel_pytree, _parts(params)), strict=True
         )
-        dtype = model.coefficients.dtype  # of no numbers at all JAX would make what is its default
+        dtype = model.coefficients.dtype  # JAX would give an empty vector its default precision
         self.encoder, self.memory, self.drive, effects = (numbers.astype(dtype) for numbers in flat)
         logs = _logarithmic(model)
         self.effects = where(logs, jnp.log(where(logs, effects, 1.0)), effects)
         self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
 
     def with_effects(self, model: Model, a) -> Model:
-        """Put other numbers of the effects into a model."""
+        """Return a model with other parameters of the effects."""
         if not self.model.effects:
             return model
         built = eqx.combine(self._effects(_stored(self.model, a, jnp)), self.static.effects)
@@ -108,17 +108,17 @@ class Numbers:
         return eqx.combine(self._encoder(p), self.static.encoder)(features)
 
     def with_memory(self, q) -> Model:
-        """Put other time constants of the memories into the model."""
+        """Return the model with other time constants of the memories."""
         return eqx.tree_at(lambda m: m.memory, self.model, eqx.combine(self._memory(q), self.static.memory))
 
     def seen(self, core, q, h: float):
-        """Compute what the encoder sees of a state half a substep on."""
+        """Compute the encoder's features of a state half a substep later."""
         return jnp.stack(midpoint(motion_of(self.with_memory(q)), list(core), h))
 
     def moved(self, state, logits, q, volts, a, h: float):
-        """Advance the state by one substep under these logits along three stage voltages."""
+        """Advance the state by one substep with these logits along three stage voltages."""
         return substep(self.with_effects(self.with_memory(q), a), state, volts, h, logits)
 
     def reading(self, state, a):
-        """Compute what the sensor shows of a state."""
+        """Compute the sensor reading of a state."""
         return ports.reading(self.with_effects(self.model, a), state)

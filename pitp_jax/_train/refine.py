@@ -3,15 +3,16 @@
     minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
 
-Levenberg-Marquardt (`accelerated`), first on windows of six periods from their filtered states, then on longer ones
-where whole records are still far off, then on whole records from their own starts, as predictions run. Every stage
-begins with the logits scaled to where its runs leave least, between the trained ones and the linear nominal: a network
-fitted to the equation error may be unstable, and from runs that left every range no step leads down. Creep that
-outlasts the runs is met beside (`creep_balance`). Every trained number is free: encoder weights, memory and drive time
-constants, and those of effects the model was given.
-Where all records exceed the budget, half of it goes to some that stand for all, to their ends, since nothing else sees
-creep within a record, and half to the beginnings of the others, since a resonance is narrow. What it is worth, and what
-else was tried: docs/decisions/free_runs.md.
+Levenberg-Marquardt (`accelerated`) runs in stages: windows of six periods from their filtered states, longer windows if
+whole records still have large errors, then whole records from their own initial states, as in predictions. Every stage
+first scales the logits, between zero (the nominal model) and the trained ones, to the smallest error. A network fitted
+to the equation error may be unstable, and no step can improve a diverged run. Creep slower than the runs is fitted in
+addition (`creep_balance`). Every trained parameter is free: encoder weights, time constants of memory and drive, and
+those of given effects.
+
+If the records exceed the budget, half of it goes to representative records in full length,
+because only they show creep. The other half goes to the beginnings of the others, because a resonance is narrow.
+Benefits and alternatives: docs/decisions/free_runs.md.
 """
 
 import time
@@ -44,16 +45,16 @@ from .parameters import parameters, trainable, with_parameters
 
 BUDGET = 400_000  # samples in all
 _FEWEST_WHOLE, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
-_SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length at first, and how it grows
-_NEAR, _WORSE = 10.0, 3.0  # % of range that whole records may be off, or times what windows are, to be fitted next
-_SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # of the logits, where a stage may begin
-_PRIOR = 1e-4  # rho of every trained number but the weights of the nets of spring and damping
+_SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length at first, and its growth
+_NEAR, _WORSE = 10.0, 3.0  # % of range, or times the windows' error, above which whole records are not fitted next
+_SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # factors on the logits at which a stage may start
+_PRIOR = 1e-4  # rho of every trained parameter except the weights of the spring and damping nets
 _PATIENCE, _SLOW = 5, 0.05  # stop when that many steps together lower the error by less than this fraction
 
 
 @dataclass(frozen=True)
 class _How:
-    """What all stages of a refinement share."""
+    """Settings shared by all stages of a refinement."""
 
     dt: float
     report: Callable
@@ -77,8 +78,8 @@ def refine(
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
-    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be fitted.
-    `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
+    as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
     """
     how = _How(records[0].dt, report, firmness, slow, mesh)
     longest = max(r.samples for r in records) * how.dt / _period(model)  # in periods
@@ -89,7 +90,7 @@ def refine(
             model = stepped
             yield stepped, entry
         periods, stage = _LONGER * periods, "longer runs"
-        # a fit of windows is no use where whole records drift away from it: their bends would lead nowhere
+        # a fit of windows is useless if whole records drift away from it
         windows = 2 * periods < longest and _miss(model, _free(model, records), how) > max(
             _NEAR, _WORSE * _miss(model, runs, how)
         )
@@ -99,7 +100,7 @@ def refine(
 
 def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
     start, sizes = parameters(model)
-    centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near where they began
+    centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near their initial values
     prior, every = prior_weights(model, sizes, how.firmness), thinning(model, how.dt)
     return FreeRuns(model, batches, how.dt, every, prior=(prior, centre), slow=how.slow, mesh=how.mesh)
 
@@ -121,28 +122,28 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
 
 
 def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:
-    """Scale the model's logits to where the runs leave least; at zero it is the linear nominal."""
+    """Scale the model's logits to the smallest error of the runs; at zero it is the linear nominal."""
     runs = _problem(model, batches, how)
     scaled = [eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(f)) for f in _SCALED]
     return scaled[int(np.argmin([runs.miss(parameters(m)[0]) for m in scaled]))]
 
 
 def _miss(model: Model, batches: Sequence[Runs], how: _How) -> float:
-    """Compute the root mean square error of the runs, % of range; infinite where one is lost."""
+    """Compute the rms error of the runs, % of range; infinite if one diverges."""
     return _problem(model, batches, how).miss(parameters(model)[0])
 
 
 def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
-    """List rho of every trained number."""
+    """Return rho of every trained parameter."""
     nets = eqx.filter(model.encoder.token_nets(), trainable(model).encoder)
     in_nets = np.asarray(ravel_pytree(nets)[0], np.float64)  # 1 or 0
     return np.append(_PRIOR + (firmness - _PRIOR) * in_nets, np.full(sum(sizes) - sizes[0], _PRIOR))
 
 
 def thinning(model: Model, dt: float) -> int:
-    """Choose every how many samples the error is taken: ten to a period of the resonance, at most every eighth.
+    """Return the sampling step of the error: ten samples per period of the resonance, at most every eighth sample.
 
-    Neighbours on one smooth run say the same; the slopes of fewer samples cost less.
+    Neighbours on a smooth run are redundant, and fewer samples need fewer derivatives.
     """
     return int(np.clip(_period(model) / dt / 10, 1, 8))
 
@@ -153,9 +154,9 @@ def _period(model: Model) -> float:
 
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS) -> Runs:
-    """Cut windows of a few periods, each run from its filtered state: no run can leave the data far behind.
+    """Cut windows of a few periods, each started at its filtered state, so that no run leaves the data far behind.
 
-    An error counts by the range of its record: most windows may stand still.
+    An error is relative to the range of its record, because most windows may stand still.
     """
     size = round(np.clip(periods * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
     places = [
@@ -173,7 +174,7 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
     x = [model.output.to_model(r.displacement) / model.scales.state[0] for r in records]
     seen = [np.isfinite(v) for v in x]
     count = np.bincount([k for k, _ in places], minlength=len(records))
-    # a mean over samples, then over windows, then over the records that have any: a long record counts once
+    # a mean over samples, then windows, then records: a long record counts once
     each = _record_weights(model, records) / size / np.maximum(count, 1) / np.count_nonzero(count)
     weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
@@ -182,23 +183,22 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """Complete a filtered state by the effects' states as if it had been held there."""
+    """Complete a filtered state by the effects' states as if settled there."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """Count the samples of the longest free run: all of the longest record, if all or some such fit the budget."""
+    """Return the length of the longest free run, samples: the longest record, or less if the budget requires it."""
     longest = max(r.samples for r in records)
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
     return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))
 
 
 def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """Weigh every record by 1e4 f_k / range_k^2, in the model's scales.
+    """Return the weight of every record, 1e4 f_k / range_k^2, in the model's scales.
 
-    Were every f_k 1, a record whose noise is 5 % of its range would leave 25 whatever the model does, and what another
-    with 0.1 % has to tell would be lost beside it.
+    With f_k = 1, a record with 5 % noise always contributes 25, which hides the information of one with 0.1 %.
     """
     x = [r.displacement[r.observed] / model.scales.state[0] for r in records]
     span = np.array([max(float(np.ptp(v)), 1e-12) for v in x])
@@ -209,11 +209,11 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """Take all records, or some that stand for all and the beginnings of the others; each of the two counts half."""
+    """Return all records, or whole records and the beginnings of the others, both groups with equal weight."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
-        sets = alike(records)  # by length: padded to one, a set of one long and many short would be mostly padding
+        sets = alike(records)  # by length, because padding to one length would be mostly padding
         sizes, parts = (
             [min(size, max(records[k].samples for k in some)) for some in sets],
             [1 / len(records)] * len(sets),
@@ -236,10 +236,10 @@ def _free(
 def _from_the_start(
     model: Model, records: Sequence[Record], begins: Sequence[tuple], size: int, each: Float[np.ndarray, " records"]
 ) -> Runs:
-    """Pad the first `size` samples to arrays; what an initial state was estimated from has no weight.
+    """Pad the first `size` samples to arrays; samples used to estimate an initial state have no weight.
 
-    A held record with the zero of those at rest starts where it was measured, and says what the static curve is.
-    Others that do not begin at rest have a zero of their own, projected out of their errors.
+    A held record with the offset of those at rest starts at its measured level, and thus determines the static curve.
+    Others that do not start at rest have their own offset, projected out of their errors.
     """
     shape = len(records), size
     voltage, target, weight = (np.zeros(shape, np.float32) for _ in range(3))
@@ -254,7 +254,7 @@ def _from_the_start(
         voltage[k, :n], voltage[k, n:] = (
             r.voltage[:n],
             r.voltage[n - 1],
-        )  # a jump to 0 V could throw an unstable fit off
+        )  # a jump to 0 V could make an unstable fit diverge
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     start = jnp.stack(starts)
@@ -263,6 +263,6 @@ def _from_the_start(
 
 
 def _settled(model: Model, record: Record):
-    """Compute the state of a record that stood long where it begins, under its first voltage."""
+    """Compute the state of a record settled at its first level, under its first voltage."""
     x = jnp.asarray(model.output.to_model(first_level(record)) / model.scales.state[0], model.coefficients.dtype)
     return still_state(model, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)

@@ -1,9 +1,9 @@
-"""The residual of the equation along a recording, and the loss of the training, as pure functions (paper, eq. 12).
+"""Residual of the equation along a recording, and training loss, as pure functions (paper, eq. 12).
 
     r = sigma_off + sum_i sigma_i X_i - F / F_max        X, F: displacement and force, both low-passed with zero phase
     L = mean w Huber(r) + mean penalty                   w: as `dataset.spread_weights`, 0 where the filter settles
 
-The filter is `preprocess`'s Butterworth of order 4, run forward and backward, as a product of spectra:
+The filter is the Butterworth filter of `preprocess`, of order 4, run forward and backward, as a product of spectra:
 
     |H(f)|^2 = 1 / (1 + (tan(pi f dt) / tan(pi f_c dt))^8),   f_c = min(2 f_max, 0.4 / dt),   99 % of |F|^2 below f_max
 """
@@ -48,7 +48,7 @@ def residual(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        residual, shape (time,): the force that the motion needs minus that of the voltage.
+        residual, shape (time,): the force that the motion requires minus that of the voltage.
 
     Examples:
         >>> u = 500.0 * (1 - jnp.cos(jnp.linspace(0.0, 12.0, 400)))
@@ -72,11 +72,11 @@ def residual_loss(
     cutoff_hz: float | None = None,
     zero: Zero = "rest",
 ) -> Float[Array, ""]:
-    """Compute the loss of the training over a recording: Huber's residuals plus what leaves the box (eq. 12).
+    """Compute the training loss over a recording: Huber loss plus penalties outside the box (eq. 12).
 
     Args:
         model, voltage, displacement, cutoff_hz, zero: as of `residual`.
-        box: lowest and highest factor on the nominal tokens that costs nothing; default none does.
+        box: lowest and highest factor on the nominal tokens without a penalty; default no penalty.
         width: of Huber's quadratic part, in units of the model's force.
         penalty: alpha and beta, the costs of a unit above and below the box.
 

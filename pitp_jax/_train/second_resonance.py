@@ -1,11 +1,11 @@
-"""Test for a second mass on the moved one, along measured motion, before any free run.
+"""Test for a second mass attached to the moving one, along measured motion, before any free run.
 
     F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
-    phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (what a lag before the square does)
-    u(w, zeta) = 1 - (pull . residual)^2 / (|pull|^2 |residual|^2)       fraction that the pull leaves unexplained
+    phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (effect of a lag before the square)
+    u(w, zeta) = 1 - (pull . residual)^2 / (|pull|^2 |residual|^2)       fraction not explained by the pull
 
-residual: of F on the phi alone; pull: x - r less its projection on the phi. A strong mode within the driven band is
-like none of the phi (docs/decisions/second_resonance.md).
+residual: of F on the phi alone; pull: x - r less its projection on the phi. A strong mode within the excited band
+resembles none of the phi (docs/decisions/second_resonance.md).
 """
 
 from collections.abc import Callable, Sequence
@@ -17,17 +17,17 @@ from jaxtyping import Float
 
 from .._record.preprocess import StateRecord
 
-UNEXPLAINED = 0.65  # at most that u for a second mass
-WORTH = 0.006  # at least that fraction of the force, rms, for the pull; smaller ones come from what phi does not hold
+UNEXPLAINED = 0.65  # largest u for a second mass
+WORTH = 0.006  # smallest fraction of the force (rms) for the pull; smaller ones come from terms missing in phi
 _ROWS, _SAMPLES = 30_000, 400_000
 _GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
-_FASTEST = 1.0  # w dt; beyond, what the filter and the drive between samples leave looks like a mode
+_FASTEST = 1.0  # w dt; above, errors of the filter and of the input between samples look like a mode
 
 
 def second_mass(
     states: Sequence[StateRecord], omega: float, lags: Float[np.ndarray, " lags"]
 ) -> tuple[float, float, float] | None:
-    """Find eigenfrequency (rad/s) and damping ratio of a mass hanging on the moved one, and its u; or None.
+    """Return eigenfrequency (rad/s) and damping ratio of a mass attached to the moving one, and its u; or None.
 
     Args:
         states: filtered motion and force of every record.
@@ -35,13 +35,13 @@ def second_mass(
         lags: time constants of slow lags of x, s.
     """
     if states[0].states.shape[1] < 3:
-        return None  # at order 1 nothing moved has a mass
+        return None  # at order 1 the moving part has no mass
     seen = _rows(states)
     low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
     columns, force = _columns(seen, lags), seen.weight * seen.read(lambda s: s.force)
     if len(force) < 10 * columns.shape[1] or low >= high:
         return None
-    # phi may hold one column twice (a slow lag and a constant): only directions with data are projected out
+    # phi may hold one column twice (a slow lag and a constant), so only directions with data are projected out
     vectors, sizes, _ = np.linalg.svd(columns, full_matrices=False)
     basis = vectors[:, sizes > 1e-9 * sizes[0]]
     residual = force - basis @ (basis.T @ force)
@@ -54,10 +54,10 @@ def second_mass(
         pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
         pull = pull - basis @ (basis.T @ pull)
         gain = float(pull @ residual)
-        # kappa < 0 would be a mass that pushes: no explanation, however well it fits
+        # kappa < 0 would be a mass that pushes: not an explanation, however well it fits
         return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
 
-    # a grid first: between two narrow modes no slope leads from one to the other
+    # a grid first, because no slope leads from one narrow mode to another
     start = min(np.geomspace(low, high, _GRID), key=lambda w: unexplained(np.log([w, 0.08])))
     best = scipy.optimize.minimize(
         unexplained, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4}
@@ -69,19 +69,19 @@ def second_mass(
 
 
 class _Rows(NamedTuple):
-    """Records, which of their samples are read, and a weight each: every record counts by the range of its force."""
+    """Records, the samples used, and their weights: every record counts by the range of its force."""
 
     states: list[StateRecord]
     places: list[np.ndarray]
     weight: np.ndarray
 
     def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        """Read one column (or several), all records in a row."""
+        """Return values of the used samples of all records in sequence; `column` takes them from one record."""
         return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
 
     @property
     def displacement(self) -> np.ndarray:
-        """Measured displacement X of all records."""
+        """Return the measured displacement X of all records."""
         return self.read(lambda s: s.states[:, 0])
 
     def filtered(self, numerator, denominator) -> np.ndarray:
@@ -95,18 +95,18 @@ class _Rows(NamedTuple):
 
 
 def _rows(states: Sequence[StateRecord]) -> _Rows:
-    """Choose records that have valid samples, and of these every so manieth sample, within two budgets."""
+    """Choose records with valid samples, and every n-th sample of them, within two budgets."""
     some = [s for s in states if s.valid.any()]
     some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
     every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
-    # each record from another first sample: the same grid on records of one drive would read the same phases
+    # each record from another first sample, because one grid on records of one input would sample the same phases
     places = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(some)]
     spans = [max(float(np.ptp(s.force)), 1e-300) for s in some]
     return _Rows(some, places, np.repeat(1 / np.array(spans), [len(at) for at in places]))
 
 
 def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
-    """Compute all phi, weighted, each of length one."""
+    """Compute all weighted columns phi, each normalised to length one."""
     dt = seen.states[0].dt
     motion = seen.read(lambda s: s.states)
     motion = motion / np.sqrt(np.mean(motion**2, 0))

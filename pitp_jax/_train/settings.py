@@ -1,4 +1,4 @@
-"""Set a training: presets, and the parts of a model that settings stand for.
+"""Settings of a training: presets, and the parts of a model that they select.
 
 settings + nominal -> memory (time constants), encoder (at the nominal), drive (its first lag) and other lags
                       learned with it, prior weight of the nets
@@ -41,32 +41,33 @@ PARTS = {name: lookup(name) for name in ("delay", "sensor_lag")}
 
 @dataclass(frozen=True)
 class Settings:
-    """What a preset fixes; the paper's symbols (Algorithm 1, III-D) in brackets.
+    """The settings of a training; the paper's symbols (Algorithm 1, III-D) in brackets.
 
     Attributes:
         encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
-        few: with fewer records than that, behind a square, the compact encoder is a smaller one (`frugal`): damping
-            blind to memories, one coupling for all tokens.
+        few: below this number of records with a squared input, the compact encoder is smaller (`frugal`): damping
+            independent of memories, one coupling for all tokens.
         memory: "fading", "elapsed" or "none".
-        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
-            one that the nominal keeps, where that outlasts training (`creep_balance`).
-        ringing: whether a second mass is looked for along the motion (`second_resonance`).
-        drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
-        parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
+        memories: number of fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
+            nominal's stored record if that is longer than training (`creep_balance`).
+        ringing: whether to test for a second mass along the motion (`second_resonance`).
+        drive: "electrode" (a learned lag before the square, if there is a square, initially 0.1 / omega_0) or "direct".
+        parts: further learned parts between amplifier and sensor, initially 0.1 / omega_0: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
-        stages: most stages.
-        tolerance [epsilon]: a stage must lower the physics residual by this fraction to earn another.
+        stages: largest number of stages.
+        tolerance [epsilon]: another stage follows only if a stage lowers the physics residual by this fraction.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
-        starts: most starts of the free runs, where the first leaves a record worse than the nominal or converges badly.
-        firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other number has
-            1e-4. Default: 1e-4; with `few` records behind a square 0.06 over their number, since the error is a mean
-            over records; 1e-3 behind a linear input, where it extrapolates in amplitude.
+        refine_steps: largest number of Levenberg-Marquardt steps (Jacobians) on free runs.
+        starts: largest number of starts of the free runs, if the first makes a record worse than the nominal or
+            converges badly.
+        firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other parameter has
+            1e-4. Default: 1e-4; with `few` records and a squared input 0.06 over their number, because the error is a
+            mean over records; 1e-3 for a linear input, where it extrapolates in amplitude.
 
     Raises:
         BadInput: an unknown word.
@@ -99,7 +100,7 @@ class Settings:
     firmness: float | None = None
 
     def __post_init__(self):
-        """Refuse a word that stands for nothing: it would silently be the default."""
+        """Refuse unknown words, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
@@ -118,7 +119,7 @@ PRESETS = {
 
 
 def preset_of(name: str) -> Settings:
-    """Look up the preset of that name; refuse an unknown one."""
+    """Return the preset of that name; refuse an unknown one."""
     if name not in PRESETS:
         raise BadInput(f"unknown preset {name!r}: use one of {', '.join(PRESETS)}")
     return PRESETS[name]
@@ -127,21 +128,22 @@ def preset_of(name: str) -> Settings:
 def memory_of(
     settings: Settings, nominal: Model, long: LongRecord | None, states: Sequence[StateRecord]
 ) -> AbstractMemory:
-    """Build the memory a preset asks for, its time constants from the resonance to the longest record.
+    """Build the memory of the settings, its time constants from the resonance to the longest record.
 
-    Or to a quarter of the `long` one, in which a lag can settle. With a second mass, where the motion shows one.
+    A `long` record extends them to a quarter of its length, in which a lag can settle. A second mass is added if the
+    motion shows one.
     """
     longest = max(len(s.time) * s.dt for s in states)
-    # a lag as long as the record would be a ramp in it: what it settles at no sample shows
+    # a lag as long as the record would be a ramp in it, and no sample would show its final value
     longest = longest if long is None else max(longest, long.seconds / 4)
     if settings.memory == "none":
         return NoMemory()
     if settings.memory == "elapsed":
         return ElapsedTime(horizon=float(longest))
-    # faster than the resonance a lag is nothing but x and x', which the encoder sees already
+    # a lag faster than the resonance is only x and x', which the encoder already sees
     tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
     lags = jnp.asarray(np.log(tau), jnp.float32)
-    # before any training: added later, the nets have already bent to imitate the mode
+    # before any training, because nets trained without the mode have already imitated it
     mass = second_mass(states, nominal.natural_frequency, tau) if settings.ringing else None
     if mass is None:
         return FadingMemory(lags)
@@ -150,11 +152,11 @@ def memory_of(
 
 
 def firmness_of(settings: Settings, model: Model, records: int) -> float:
-    """Choose the prior weight of the nets of spring and damping: more without a square, most with `few` records."""
+    """Return the prior weight of the spring and damping nets: higher without a square, highest with `few` records."""
     if settings.firmness is not None:
         return settings.firmness
     if _small_encoder(model):
-        return 0.06 / records  # the error is a mean over records: fewer of them say less, and hold a net less
+        return 0.06 / records  # the error is a mean over records: fewer carry less information
     return 1e-4 if model.input_map.one_sided else 1e-3
 
 
@@ -163,32 +165,32 @@ def _small_encoder(model: Model) -> bool:
 
 
 def with_drive(model: Model, settings: Settings) -> Model:
-    """Give the model the electrode's lag that free runs start from; the equation error reads the drive as direct.
+    """Return the model with the electrode's initial lag for free runs; the equation error ignores the lag.
 
-    Without a square behind it a lag is one more linear pole, which the order stands for.
+    Without a square after it, a lag is one more linear pole, which the order already includes.
     """
     if settings.drive != "electrode" or not model.input_map.one_sided:
         return model
-    # a tenth of a radian of the resonance: short enough to change little, long enough for its slope to be felt
+    # a tenth of a radian of the resonance: short enough to change little, long enough to have a slope
     lag = ElectrodeLag(jnp.asarray(np.log(0.1 / model.natural_frequency), jnp.float32))
     return eqx.tree_at(lambda m: m.drive, model, lag)
 
 
 def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
-    """Give the model its drive's first lag, the effects of the nominal, and the parts that are asked for.
+    """Return the model with its drive's initial lag, the effects of the nominal, and the requested parts.
 
-    An effect that is there from the start is fitted beside the encoder: what it explains the nets need not learn.
+    An effect present from the start is fitted with the encoder, so that the nets need not learn it.
     """
     begin = jnp.asarray(0.1 / nominal.natural_frequency, jnp.float32)
     old, new = nominal.scales, model.scales
-    # training has scales of its own; an effect's numbers are stored in those of its model
+    # training has its own scales; an effect's parameters are stored in those of its model
     given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
     effects = (*given, *(PARTS[part](begin) for part in settings.parts))
     return replace(with_drive(model, settings), effects=effects)
 
 
 def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
-    """Give the nominal a fresh encoder, the compact one bounded at twice the trained region; `own`: the user's."""
+    """Return the nominal with a new encoder, the compact one bounded at twice the trained region; `own`: the user's."""
     model = data.model
     n, memories = model.order, model.memory.size
     if own is not None:
@@ -197,7 +199,7 @@ def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
         encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
         low, high = data.region.T
-        # a slow memory barely moves in short records: it gets a quarter of x's range at least
+        # a slow memory barely moves in short records: it gets at least a quarter of x's range
         half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
         frugal = model.input_map.one_sided and len(data.features) < settings.few

@@ -1,11 +1,12 @@
-"""Train an encoder: from a nominal model and records to a model (paper, Algorithm 1, then rollouts).
+"""Train an encoder from a nominal model and records (paper, Algorithm 1, then rollouts).
 
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
-    then:     every training record beside the nominal (`errors`); what did not converge is tried from other starts
+    then:     every training record compared with the nominal (`errors`); other starts if not converged
 
-The equation error is fast and blind to what accumulates; free runs see just that (docs/readings.md, Algorithm 1).
+The equation error is quick but does not show errors that build up over a run; free runs fit exactly those
+(docs/readings.md, Algorithm 1).
 """
 
 import time
@@ -21,6 +22,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Model
@@ -44,12 +46,12 @@ from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder,
 
 _OPTIMISER = optax.scale_by_adam()
 _PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
-_WORTH_REDUCING = 4  # samples a block: below, every sample of a set within the budget is kept
+_WORTH_REDUCING = 4  # samples a block: with less, every sample of a set within the budget is kept
 
 
 @dataclass(frozen=True)
 class Progress:
-    """One line of progress: what is running, how far, and how well."""
+    """One line of progress: the current stage, its step, and its loss."""
 
     stage: str
     step: int
@@ -62,10 +64,10 @@ class Progress:
 
 @dataclass(frozen=True, repr=False)
 class Training(Shown):
-    """The trained model, the history of its losses, whether it was cut short, and its summary (`left_out`: lines).
+    """The trained model, the history of its losses, whether it was interrupted, and its summary (`left_out`: lines).
 
-    `errors`: of every training record under the nominal and under this model. `problems`: lines that say what failed.
-    `fallback`: what is handed back in the trained model's place, or None.
+    `errors`: of every training record with the nominal and with this model. `problems`: lines on failures. `fallback`:
+    the model returned in place of the trained one, or None.
     """
 
     model: Fitted
@@ -93,21 +95,20 @@ def train(
 ) -> Training:
     """Train an encoder on records, starting exactly at the nominal model.
 
-    On no training record is the model worse than the nominal by more than a hundredth: where no start leads to such a
-    one, the nominal is handed back in the trained model's form, and `fallback` says so. Records that are oversampled
-    are averaged over blocks first (`reduce_rate`); the model is one for their own rate.
+    On every training record the model is at most 1 % worse than the nominal. If no start achieves this, the nominal is
+    returned in the trained model's form, and `fallback` reports it. Oversampled records are first averaged over blocks
+    (`reduce_rate`); the model remains valid for their own rate.
 
     Args:
         nominal: an identified model (`Fitted`, or a bare `Model`); order, input map, hold and output are kept. Its
-            effects come in with the free runs, and their numbers are fitted along.
-        records: the training records, one sampling rate; those in which nothing moves are left out (`in_motion`).
+            effects are added with the free runs, and their parameters are fitted as well.
+        records: the training records, one sampling rate; records without motion are left out (`in_motion`).
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
         mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
-        encoder: your own, in place of the preset's: an Equinox module as `OwnEncoder` describes it, or
-            fn(features, logits, key=key) that makes one. With a module no second mass is looked for, so that it takes
-            order + `Settings.memories` features. Training starts where its weights put it: at the nominal if its last
-            layer is zero.
+        encoder: your own, instead of the preset's: an Equinox module as `OwnEncoder` describes it, or fn(features,
+            logits, key=key) that makes one. With a module there is no test for a second mass, so it takes order +
+            `Settings.memories` features. Training starts from its weights: at the nominal if its last layer is zero.
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
@@ -131,7 +132,7 @@ def train(
     nominal = parent.model.sampled(seen[0].dt, parent.hold)
     records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, least=2 if many else _WORTH_REDUCING)
     compare = judge(nominal, records)
-    # the equation error needs x itself: each record's own zero and direction are taken out first
+    # the equation error needs x itself, so each record's own offset and direction are taken out first
     begun = with_zero_at_rest(records, begin(nominal, records)[2])
     nominal = _with_zero(nominal, parent.origin.long_record, begun)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
@@ -145,11 +146,11 @@ def train(
     except KeyboardInterrupt:
         if best is None:
             raise
-        interrupted = True  # minutes of training are not thrown away: what is best so far is handed back, and says so
+        interrupted = True  # the best model so far is returned after an interrupt, and marked as interrupted
     if best is None:
         raise BadInput("settings allow no training stage: set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
-    if records[0].dt != seen[0].dt:  # trained on block means, but judged on the records as they were given
+    if records[0].dt != seen[0].dt:  # trained on block means, but judged on the original records
         chosen = judge(parent, seen)(chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
@@ -158,14 +159,15 @@ def train(
              "interrupted": interrupted, "fallback": fallback, "trained_at_hz": 1 / records[0].dt}  # fmt: skip
     region = _region(chosen.model, data, slow, records[0].dt)
     domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
-    # an encoder stands beside the nominal now: what was known of its coefficients no longer describes the model
+    # With an encoder, the origin's statements on the coefficients no longer describe the model.
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
 
 def _settings_for(encoder, settings: Settings) -> Settings:
-    """Choose the settings for an encoder of the user's own; with a module the number of memories is known before."""
+    """Return the settings for a user's own encoder; with a module the number of memories is known before."""
     if encoder is not None:
         return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
     if settings.encoder == "own":
@@ -174,7 +176,7 @@ def _settings_for(encoder, settings: Settings) -> Settings:
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
-    """Give the nominal the zero of the records at rest, where its own was never seen at 0 V."""
+    """Return the nominal with the offset of the records at rest, if its own was never measured at 0 V."""
     known = [b for b in begun if not b.free]
     if long is None or long.rest or not known:
         return nominal
@@ -184,9 +186,9 @@ def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginnin
 def _prepared(
     nominal: Model, long: LongRecord | None, records, settings: Settings
 ) -> tuple[Dataset, SlowBalance | None]:
-    """Prepare what training reads; with the slow balance where the nominal keeps a record that outlasts the free runs.
+    """Prepare the training data, with the slow balance if the nominal's long record outlasts the free runs.
 
-    Not where the nominal has effects of its own, which that balance would not hold.
+    A nominal with its own effects is excluded, because that balance does not include them.
     """
 
     def dataset(long: LongRecord | None) -> Dataset:
@@ -197,7 +199,7 @@ def _prepared(
     seen = run_samples(records) * records[0].dt
     fits = settings.memory == "fading" and settings.refine_steps > 0 and not nominal.effects
     if long and fits and long.seconds > OUTLASTS * seen:
-        data = dataset(long)  # again, below, if no window counts: its memories would be longer than anything shows
+        data = dataset(long)  # again, below, if no window counts: its memories would be too long for the data
         if slow := slow_balance(data.model, long, data.region):
             return replace(data, region=region_of(data.region.T, slow.features(data.model))), slow
     return dataset(None), None
@@ -207,11 +209,11 @@ def _attempts(
     nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, own, key,
     progress, mesh: Mesh | None,
 ):  # fmt: skip
-    """Yield (best model so far, history entry): the usual way, and where that does not converge others.
+    """Yield (best model so far, history entry): the usual start, and others if it does not converge.
 
-    1: the stages on the equation error, then free runs. 2: where few records are worse than under the nominal, free
-    runs once more with those weighted by how much worse they are. 3, 4, ...: free runs from the nominal itself, whose
-    logits are zero, with the nets ten times as firm each time.
+    1: the stages on the equation error, then free runs. 2: if few records are worse than with the nominal, free runs
+    again, with those records weighted by their degradation. 3, 4, ...: free runs from the nominal itself, whose logits
+    are zero, with ten times firmer nets each time.
     """
 
     def report(stage, step, steps, value, best, remaining):
@@ -241,14 +243,14 @@ def _attempts(
             again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
         ends = [best.model]
         for ends[0], entry in _until_lost(again):
-            yield best.model, {**entry, "start": start}  # an interrupt hands back the best, not one half on its way
+            yield best.model, {**entry, "start": start}  # an interrupt returns the best, not an unfinished one
         best = min(best, compare(ends[0]), key=lambda c: c.rank)
     if start > 1:
         yield best.model, {"stage": "best", "error": best.mean**2}
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """Take the steps of one start up to where its free runs diverge: that ends this start, not the training."""
+    """Yield the steps of one start until its free runs diverge; training continues with other starts."""
     try:
         yield from steps
     except ComputationFailed:
@@ -256,7 +258,7 @@ def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, di
 
 
 def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
-    """Yield models between this one and the nominal, which comes last: nothing learned, and no lag in the drive."""
+    """Yield models between this one and the nominal, which comes last, with zero logits and no lag in the drive."""
     for factor in (0.7, 0.4, 0.2):
         yield replace(model, encoder=model.encoder.scaled(factor))
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
@@ -271,12 +273,12 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
-        state = _OPTIMISER.init(params)  # a stage begins at the best weights so far: momentum belongs to the last ones
+        state = _OPTIMISER.init(params)  # a stage starts at the best weights so far, so it needs new momentum
         epochs = max(1, int(settings.epochs * settings.decay_epochs**j))
         at_stage = best
         for epoch in range(epochs):
             key, sub = jax.random.split(key)
-            # a half cosine down to a twentieth: a stage ends where the noise of minibatches has settled
+            # a half cosine down to a twentieth, so that the noise of minibatches settles within a stage
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder != "paper" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
@@ -286,7 +288,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
-                return  # free runs begin at the best so far: at first the nominal
+                return  # free runs start at the best so far: at first the nominal
             if physics < best:
                 best, best_model = physics, replace(best_model, encoder=eqx.combine(params, static))
             remaining = (time.monotonic() - began) / count * (total - count)
@@ -300,7 +302,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
 
 
 def _in_an_epoch(settings: Settings) -> dict:
-    """Choose the settings that the program of an epoch depends on."""
+    """Return the settings that the program of an epoch depends on."""
     dropout = settings.encoder != "compact"
     return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
@@ -322,7 +324,7 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
         index, k = item
         grads, parts = eqx.filter_grad(objective, has_aux=True)(p, data.take(index), k if dropout else None)
         updates, s = _OPTIMISER.update(grads, s, p)
-        # outside the optimiser: there the rate would be a constant, and every epoch's a program of its own
+        # outside the optimiser; inside, the rate would be a constant and every epoch its own program
         updates = jax.tree.map(lambda u: -rate * u, updates)
         return (eqx.apply_updates(p, updates), s), jnp.stack(parts)
 
@@ -332,21 +334,21 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
 
 
 def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> np.ndarray:
-    """Find lowest and highest value of every feature, with the memories as they were learned."""
+    """Return the lowest and highest value of every feature, with the learned memories, shape (features, 2)."""
     n, seen = model.order, [slow.features(model)] if slow else []
     for features, valid in zip(data.features, data.valid, strict=True):
-        # free runs moved the time constants, and with them what the memories were
+        # free runs changed the time constants, and with them the memories
         past = np.asarray(model.memory.trajectory(jnp.asarray(features[:, 0]), dt, jnp.asarray(features[0, n:])))
         seen.append(np.concatenate([features[:, :n], past], -1)[valid])
     return region_of(*seen)
 
 
 def _second_mass_hz(model: Model) -> float | None:
-    """Compute where what hangs on the moved mass resonates by itself, Hz."""
+    """Return the eigenfrequency of the second mass alone, Hz; None without one."""
     memory = model.memory
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
 def _level(history: Sequence[dict]) -> float:
-    """Compute e_rms (%) of the best free runs; nan where there were none."""
+    """Return e_rms (%) of the best free runs; nan if there were none."""
     return float(np.sqrt(min((e["error"] for e in history if e["stage"] == "free runs"), default=np.nan)))

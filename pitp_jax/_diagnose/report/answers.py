@@ -1,4 +1,4 @@
-"""The first screen of a report: verdict, budget, and where the gap lies, which effect causes it, how far it shrinks."""
+"""The first screen of a report: verdict, budget, and where the gap lies, its cause, and its reduction."""
 
 import numpy as np
 
@@ -14,11 +14,11 @@ from .which import fraction_closed, which
 NEXT_CSV = "next_experiment.csv"
 
 
-_HELPS = 0.1  # of the gap: less is called nothing
+_HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
-    """The verdict in one line."""
+    """Return the verdict in one line."""
     if d.effects == ("parameter_change",):
         return "The model's own coefficients have changed; no effect is missing from it"
     if d.effects:
@@ -30,7 +30,7 @@ def headline(d: Diagnosis) -> str:
 
 
 def verdict_text(d: Diagnosis) -> str:
-    """What the verdict means, in one or two sentences."""
+    """Return the meaning of the verdict, in one or two sentences."""
     if d.verdict == "no_gap":
         return f"On {_records_used(d)}, {_error_without(d)}. There is no effect to add."
     if d.effects:
@@ -56,7 +56,7 @@ def verdict_text(d: Diagnosis) -> str:
 
 
 def budget_bar(d: Diagnosis) -> str:
-    """The gap's energy as one bar that adds to 100 %, with what each part is."""
+    """Return the gap's energy as one bar that adds to 100 %, with a label for each part."""
     b = d.budget
     if not b:
         return ""
@@ -86,7 +86,7 @@ def budget_bar(d: Diagnosis) -> str:
 
 
 def next_step(d: Diagnosis) -> str:
-    """What to do about it, in one sentence."""
+    """Return the recommended next step, in one sentence."""
     if d.verdict == "no_gap":
         return "Next: predict and invert with this model; more recordings teach it nothing."
     if d.next_experiment is not None:
@@ -155,7 +155,7 @@ def _how_far(d: Diagnosis) -> str:
 
 
 def _in_units(d: Diagnosis) -> str:
-    """The error in the output's own unit, rms over the held-out recordings."""
+    """Return the error in the output's own unit, rms over the held-out recordings."""
     scale, unit = output_unit(d)
     held = [t for t in d.traces if t.heldout] or d.traces
     before, after = (
@@ -166,5 +166,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Where, which, how far, as HTML."""
+    """Return the cards "where", "which" and "how far" as HTML."""
     return _where(d), which(d), _how_far(d)

@@ -1,7 +1,7 @@
-"""The figures of a diagnosis, on axes the caller may own: each takes axes and returns them.
+"""The figures of a diagnosis, on axes the caller may supply: each takes axes and returns them.
 
-Nothing is only in a figure: `Diagnosis.as_json` and the report's tables hold the same numbers. Units are those of the
-user's files; no pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
+`Diagnosis.as_json` and the report's tables hold every number of the figures. Units are those of the user's files; no
+pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
 """
 
 import os
@@ -25,7 +25,7 @@ from .gap_figure import gap, output_unit
 TIED = "#e69f00"
 _HEAT = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
 _SMALL = 8.0
-_ROWS, _LABEL = 12, 18  # names in the ranking figure; letters of a record under its bar
+_ROWS, _LABEL = 12, 18  # effects in the ranking figure; letters of a record under its bar
 _AXES = {
     "records": "record",
     "frequency": "frequency of the error (Hz)",
@@ -37,14 +37,14 @@ _AXES = {
 
 
 def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Share of the missing force by drive frequency and amplitude of the motion; flagged cells outlined.
+    """Draw the fraction of the missing force by input frequency and amplitude of the motion; flagged cells outlined.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         ax: where to draw; None makes a figure.
 
     Returns:
-        The axes: one square per cell that was visited, its share written in it from 1 % on.
+        The axes: one square per visited cell, with its fraction in it from 1 % on.
     """
     drawn: Axes = own_axes(ax, 1, (5.0, 3.2))[0]
     cells = diagnosis.where["cells"]
@@ -70,7 +70,7 @@ def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def _edges(set_ticks, pairs, scale: float) -> None:
-    """Ticks at the edges of cells; where cells between are missing, an edge shows both its sides."""
+    """Set ticks at the edges of cells; where cells between are missing, an edge shows both its sides."""
     if pairs:
         inner = [
             digits(scale * b[0], 2) if a[1] == b[0] else f"{digits(scale * a[1], 2)}|{digits(scale * b[0], 2)}"
@@ -80,14 +80,14 @@ def _edges(set_ticks, pairs, scale: float) -> None:
 
 
 def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """How much of the held-out gap every effect closes, with its 95 % interval.
+    """Draw how much of the held-out gap every effect closes, with its 95 % interval.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         ax: where to draw; None makes a figure.
 
     Returns:
-        The axes: a bar per name, best first; the effects named blue, tied ones orange.
+        The axes: one bar per effect, best first; reported effects blue, tied ones orange.
     """
     rows = _bars(diagnosis)
     drawn: Axes = own_axes(ax, 1, (5.0, 0.7 + 0.24 * max(len(rows), 2)))[0]
@@ -109,7 +109,7 @@ def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def _bars(diagnosis: Diagnosis) -> list[tuple]:
-    """(label, share, interval, colour), the explanation first where it takes two effects."""
+    """Return (label, fraction, interval, colour), the hypothesis first if it has two effects."""
     rows, g = [], diagnosis.gap
     if len(diagnosis.effects) > 1 and g.closed_fraction is not None:
         rows.append(("all named", g.closed_fraction, g.ci95, PREDICTED))
@@ -124,13 +124,13 @@ def _bars(diagnosis: Diagnosis) -> list[tuple]:
 
 
 def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time")) -> np.ndarray:
-    """Shares of the gap along some of its axes, as bars.
+    """Draw fractions of the gap along some of its axes, as bars.
 
     Args:
-        diagnosis: what was found.
+        diagnosis: the diagnosis.
         axes: as many axes as names; None makes a figure.
-        names: of "records", "frequency", "time" (shares of the error), "displacement", "velocity" and "voltage"
-            (shares of the missing force).
+        names: of "records", "frequency", "time" (fractions of the error), "displacement", "velocity" and "voltage"
+            (fractions of the missing force).
 
     Returns:
         The axes, shape (len(names),).
@@ -159,31 +159,31 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
         finish(np.array([ax]), _AXES[name].format(**words), ["share (%)"])
         crowded = sum(map(len, labels)) > 60
         tilted = {"rotation": 40, "ha": "right", "rotation_mode": "anchor"} if crowded else {}
-        alike = len(os.path.commonprefix(labels)) if len(labels) > 1 else 0  # a date before every name says nothing
+        alike = len(os.path.commonprefix(labels)) if len(labels) > 1 else 0  # drop a common prefix, such as a date
         short = [label if len(label) <= _LABEL else f"…{label[alike:]}"[:_LABEL] for label in labels]
         size = 6.5 if crowded else 7.5
         between = 0.0 if name == "records" else 0.5  # a bin has its edges written, a record its name
         ax.set_xticks(
             np.arange(len(labels)) - between, short, fontsize=size, parse_math=False, **tilted
-        )  # a name may hold a $
+        )  # a name may contain a $
         ax.grid(visible=False, axis="x")
     return axes
 
 
 def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
-    """Of every bin, one more than these: neighbours share theirs."""
+    """Return the edges of the bins as text, one more than the bins."""
     key, factor = {
         "frequency": ("band_hz", 1.0), "time": ("part", 100.0)
     }.get(name, ("range", scale))  # fmt: skip
     edges = factor * np.array([*(row[key][0] for row in table), table[-1][key][1]] if table else [])
     step = float(np.ptp(edges)) / max(len(edges) - 1, 1)
-    # what rounding has left of 0 is 0; every second one where they would touch
+    # rounding residues of 0 are 0; every second label if they would touch
     texts = [digits(0.0 if abs(edge) < 0.02 * step else edge, 2) for edge in edges]
     return [text if k % 2 == 0 or sum(map(len, texts)) < 26 else "" for k, text in enumerate(texts)]
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """The voltage of the next experiment over time.
+    """Draw the voltage of the next experiment over time.
 
     Args:
         diagnosis: one that has a next experiment.
@@ -199,9 +199,9 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """All figures this diagnosis has something to show in, by the name of their file.
+    """Return all figures for which this diagnosis has data, by file name.
 
-    One that cannot be drawn says so in its place, and costs no other.
+    A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """
     wanted: dict[str, Callable[[], Axes]] = {"gap": lambda: gap(diagnosis)[0]}
     if diagnosis.verdict != "no_gap":
@@ -215,7 +215,7 @@ def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 
 def _drawn(draw: Callable[[], Axes]) -> Figure:
-    """A figure that can be saved: the one asked for, or one that says why not."""
+    """Return a figure that can be saved: the requested one, or one with the reason why not."""
     try:
         figure = cast(Figure, draw().figure)
         figure.draw_without_rendering()  # layout and text fail only here

@@ -1,6 +1,6 @@
-"""What a report says in words: effects in plain language, their parameters, where a gap gathers.
+"""Words of a report: effects in plain language, their parameters, and where a gap is concentrated.
 
-a limit             is fitted as its inverse, so that zero is no limit; people read the limit
+a limit is fitted as its inverse, so that zero means no limit, and is shown as the limit itself
 """
 
 import re
@@ -16,15 +16,15 @@ from ..._table.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 
 PLAIN = {"parameter_change": "the model's own numbers have moved"} | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
-}  # reversed: a name's first form speaks for it
-_LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of what they are called here
+}  # reversed, so that a name's first form defines it
+_LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here
 _COEFFICIENTS = ("stiffness", "damping", "inertia")
-_FACTOR = " over given"  # of a number of the nominal that was fitted anew
-_GATHERED, _OVER = 0.6, 2.0  # a share that counts as gathered, and how far it must exceed the time spent there
+_FACTOR = " over given"  # of a parameter of the nominal that was refitted
+_GATHERED, _OVER = 0.6, 2.0  # a fraction that counts as concentrated, and its least ratio to the time spent there
 
 
 def plain_words(name: str, units: Units) -> str:
-    """What an effect is, in a few plain words."""
+    """Return an effect's meaning in a few plain words."""
     words = PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
     for word, own in (("voltage", units.input_word), ("displacement", units.output_word)):
         if own != word:  # input and output take another article
@@ -33,17 +33,17 @@ def plain_words(name: str, units: Units) -> str:
 
 
 def equation(form: EffectSpec) -> str:
-    """A form's law in symbols."""
+    """Return a form's law in symbols."""
     return form.equation
 
 
 def named(names: Sequence[str]) -> str:
-    """Names in a row: a, b and c."""
+    """Return names in a row: a, b and c."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
-    """Label and text of one parameter, in units people measure with; a limit as itself.
+    """Return label and text of one parameter in convenient units; a limit as itself.
 
     Args:
         name: of the parameter.
@@ -59,11 +59,11 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
 
 
 def parameter_between(name: str, number: dict, length_unit: str) -> tuple[str, str]:
-    """Label and text of one parameter with its 95 % interval: `3.1 kV (2.9 to 3.4)`, `at least 7.1 s`.
+    """Return label and text of one parameter with its 95 % interval: `3.1 kV (2.9 to 3.4)`, `at least 7.1 s`.
 
     Args:
         name: of the parameter.
-        number: its value, unit and ci95, whose upper end is None where there is only a lower bound.
+        number: its value, unit and ci95, whose upper end is None for a lower bound.
         length_unit: the displacement's unit, of the user's files.
     """
     if number["ci95"] is None:
@@ -84,12 +84,12 @@ def _cross(name: str) -> str:
 def _in_handy_units(
     name: str, unit: str, values: Sequence[float], length_unit: str
 ) -> tuple[str, str, tuple[float, ...]]:
-    """Label, unit as printed and values of one parameter."""
+    """Return label, unit as printed and values of one parameter."""
     if name.endswith(_FACTOR):
         stem = name.removesuffix(_FACTOR)
         label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
         return label, "", tuple(values)
-    if name == "omega":  # of a mode: an angle's unit has no part in it
+    if name == "omega":  # of a mode: independent of an angle's unit
         return "frequency", "Hz", tuple(v / (2 * np.pi) for v in values)
     if name in _LIMITS and all(values) and "/" in unit:
         top, _, bottom = unit.partition("/")
@@ -102,7 +102,7 @@ def _in_handy_units(
 
 
 def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
-    """Factor to a unit in which the number is easy to read."""
+    """Return the factor to a unit in which the number is easy to read, and that unit."""
     if unit == "s":
         factor, unit = next(p for p in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if abs(value) * p[0] >= 0.1 or p[0] > 1e3)
         return factor, unit
@@ -113,16 +113,16 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
 
 
 def coefficient_name(i: int, order: int) -> str:
-    """`a0 (stiffness)`, as far as an order-2 model gives them names."""
+    """Return `a0 (stiffness)`; only coefficients of an order-2 model have names."""
     return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
 
 
 def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str]:
-    """Where most of the gap lies within a part of an axis that the recordings visit little, the clearest first.
+    """Return where most of the gap lies within a rarely visited part of an axis, the clearest first.
 
     Args:
         where: as `Diagnosis.where`.
-        spent: share of time in every bin of an axis.
+        spent: fraction of time in every bin of an axis.
         units: of the model.
     """
     scale, shown = 1 / units.output.factor, shown_unit(units.output.unit)
@@ -146,13 +146,13 @@ def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str
 
 
 def drive_unit(unit: str) -> tuple[float, str]:
-    """Factor from the input's base unit to the one it is shown in, V for a voltage else the file's own, and that."""
+    """Return the factor from the input's base unit to the unit shown, V for a voltage, and that unit."""
     shown = "V" if base_unit(unit) == "V" else unit
     return 1 / INPUT_UNITS[shown], shown_unit(shown)
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
-    """The shortest run of neighbours that holds most, the fullest of several."""
+    """Return the shortest run of neighbouring bins that holds most of the gap; of several, the one with the most."""
     runs = [
         (last - first, -sum(shares[first:last]), first, last)
         for first in range(len(shares))

@@ -1,4 +1,4 @@
-"""The gap at a glance: one record, measured beside the model without and with what was found."""
+"""The gap at a glance: one record, measured, with the model without and with the effects found."""
 
 import numpy as np
 
@@ -14,19 +14,19 @@ _CYCLES = 6  # oscillations in the zoom
 
 
 def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
-    """Factor from m or V to the unit of the user's files, and that unit as printed."""
+    """Return the factor from m or V to the unit of the user's files, and that unit as printed."""
     unit = diagnosis.model.origin.displacement_unit
     return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
 
 
 def worst(diagnosis: Diagnosis) -> Trace:
-    """The held-out record with the largest gap, relative to its range; a fitted one where none is held out."""
+    """Return the held-out record with the largest gap relative to its range; a fitted one if none is held out."""
     held = [t for t in diagnosis.traces if t.heldout] or list(diagnosis.traces)
     return max(held, key=lambda t: np.nan_to_num(errors(t)[0]))
 
 
 def errors(trace: Trace) -> tuple[float, float]:
-    """e_rms in % that nominal and augmented model leave on a record (nan where nothing is measured)."""
+    """Return e_rms (%) of nominal and augmented model on a record (nan if nothing is measured)."""
     seen = np.isfinite(trace.measured)
     if not seen.any() or not np.ptp(trace.measured[seen]):
         return float("nan"), float("nan")
@@ -38,7 +38,7 @@ def errors(trace: Trace) -> tuple[float, float]:
 
 
 def telling(trace: Trace) -> slice:
-    """The stretch of about six oscillations in which the nominal is furthest off."""
+    """Return the part of about six oscillations in which the nominal's error is largest."""
     e = np.where(np.isfinite(trace.measured), trace.nominal - trace.measured, 0.0)
     x = trace.nominal - np.mean(trace.nominal)
     total = len(e)
@@ -57,10 +57,10 @@ def _loudest(e: np.ndarray, width: int) -> int:
 
 
 def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
-    """Measured, nominal and augmented output of the worst held-out record, zoomed, and both errors beneath.
+    """Draw measured, nominal and augmented output of the worst held-out record, zoomed, and both errors beneath.
 
     Args:
-        diagnosis: what was found; without a gap only the nominal is drawn.
+        diagnosis: the diagnosis; without a gap only the nominal is drawn.
         axes: two axes; None makes a figure.
 
     Returns:
@@ -87,12 +87,12 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
 
 
 def refitted(diagnosis: Diagnosis) -> bool:
-    """Whether the nominal's coefficients were fitted along: its error differs from that of the model as given."""
+    """Return whether the nominal's coefficients were refitted: its error differs from that of the given model."""
     return diagnosis.gap.before != diagnosis.gap.unrefitted
 
 
 def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
-    """A line that the error has in all recordings, whatever the drive: (Hz, least share of the error), or None."""
+    """Return a spectral line of the error in all recordings, whatever the input: (Hz, least fraction), or None."""
     traces = diagnosis.traces
     errors = [np.where(np.isfinite(t.measured), t.nominal - t.measured, 0.0) for t in traces]
     intervals = [(t.time[-1] - t.time[0]) / (len(t.time) - 1) for t in traces]
@@ -100,7 +100,7 @@ def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
 
 
 def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
-    """Share of time in every bin of the axes of `Diagnosis.where` that traces can be sorted by."""
+    """Return the fraction of time in every bin of the axes of `Diagnosis.where` that traces cover."""
     model, parts = diagnosis.model, {}
     for axis in ("displacement", "voltage", "time"):
         rows = diagnosis.where[axis]

@@ -1,4 +1,4 @@
-"""The report: one page whose first screen answers where the gap lies, which effect causes it, how far it shrinks."""
+"""The report: one page whose first screen shows where the gap lies, its cause, and its reduction."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,11 +19,11 @@ from .words import certainty, numbers_of, result_line
 
 
 def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
-    """A self-contained HTML page: verdict, where, which, how far; then figures, tables, and how to read them.
+    """Return a self-contained HTML page: verdict, where, which, how far; then figures, tables, and how to read them.
 
     Args:
-        diagnosis: what `diagnose` found.
-        drawn: its `figures`, which the page makes small; None draws them.
+        diagnosis: result of `diagnose`.
+        drawn: its `figures`, which are reduced in size; None draws them.
     """
     drawn = figures(diagnosis) if drawn is None else drawn
     parts = [
@@ -40,7 +40,7 @@ def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
 
 
 def first_screen(diagnosis: Diagnosis) -> str:
-    """The result, its parts, the verdict and the three cards, without the page around."""
+    """Return the result, its parts, the verdict and the three cards, without the page around."""
     return "".join(_first(diagnosis))
 
 
@@ -57,7 +57,7 @@ def _first(d: Diagnosis) -> list[str]:
 
 
 def _parts(d: Diagnosis) -> list[str]:
-    """The parts of the model that is handed back."""
+    """Return the table of the returned model's parts."""
     if not len(d.parts):
         return []
     header = ("part", "form", "values (95 % interval)", "of the reduction", "P", "certainty")
@@ -70,7 +70,7 @@ def _parts(d: Diagnosis) -> list[str]:
 
 
 def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
-    """The figures but the next experiment's, under their headings."""
+    """Return the figures except that of the next experiment, under their headings."""
     shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
     rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
     parts = []
@@ -125,7 +125,7 @@ def _ranking(d: Diagnosis) -> list[str]:
 
 
 def _closed(row: Gap | Ranked) -> str:
-    """Closed fraction and interval of the gap or of one candidate."""
+    """Return closed fraction and interval of the gap or of one candidate."""
     text, ci = percent(row.closed_fraction), row.ci95
     return text if ci is None else f"{text} ({interval(*ci)})"
 
@@ -142,7 +142,7 @@ def _records(d: Diagnosis) -> list[str]:
         "after, error %",
         "of the gap",
     )
-    columns = 6 if d.verdict == "no_gap" else 8  # nothing comes after, and shares of noise say nothing
+    columns = 6 if d.verdict == "no_gap" else 8  # nothing follows, and fractions of noise have no meaning
     rows = []
     for t in d.traces:
         before, after = errors(t)
@@ -158,7 +158,7 @@ def _records(d: Diagnosis) -> list[str]:
 
 
 def _pieces(d: Diagnosis) -> list[str]:
-    """The stretches on which the search worked, where the set is long."""
+    """Return the pieces on which the search worked, if the set is long."""
     if d.pieces is None:
         return []
     rows = [("", (p.record, f"{p.from_s:.6g}", f"{p.to_s:.6g}")) for p in d.pieces]

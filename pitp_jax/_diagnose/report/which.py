@@ -1,4 +1,4 @@
-"""Which effect: its form and numbers with units, what it cannot be told from, or why no name is given."""
+"""The effect card: form and parameters with units, ties, or the reason why no effect is reported."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ _NEAREST = 3  # rejected candidates named
 
 
 def which(d: Diagnosis) -> str:
-    """The card that names the effect, or says why none is named."""
+    """Return the card with the reported effect, or the reason why none is reported."""
     if d.effects:
         lines = [_effect(d, name) for name in d.effects]
         if refitted(d):
@@ -35,7 +35,7 @@ def which(d: Diagnosis) -> str:
 
 
 def _term(d: Diagnosis) -> str:
-    """The equation found in the data, with its numbers."""
+    """Return the equation found in the data, with its parameters."""
     if d.term is None:
         return ""
     share = fraction_closed(d.term.closed_fraction)
@@ -45,7 +45,7 @@ def _term(d: Diagnosis) -> str:
 
 
 def _rivals(d: Diagnosis) -> str:
-    """What the explanation cannot be told from, or how far behind the next name is."""
+    """Return a sentence on the effects tied with the reported one, or on the next best effect."""
     if d.equivalent:
         return f"These data cannot tell {d.effects[0]} from {named(d.equivalent)}."
     others = [r for r in d.ranking if r.effect not in d.effects]
@@ -56,12 +56,12 @@ def _rivals(d: Diagnosis) -> str:
 
 
 def fraction_closed(value: float | None) -> str:
-    """A closed fraction in words."""
+    """Return a closed fraction in words."""
     return "nothing" if value is None or value < 0.005 else percent(value)
 
 
 def _effect(d: Diagnosis, name: str) -> str:
-    """One named effect: its form and its numbers, as the model that is handed back has them."""
+    """Return one reported effect: its form and its parameters in the returned model."""
     part = next((p for p in d.parts if p.effect == name), None)
     if part is None:
         return ""
@@ -77,12 +77,12 @@ def _line(d: Diagnosis, name: str, number: dict) -> str:
 
 
 def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
-    """A candidate's numbers, one text each."""
+    """Return a candidate's parameters, one text each."""
     return [_line(d, name, number) for name, number in row.parameters.items()]
 
 
 def _shift(d: Diagnosis) -> list[str]:
-    """Every coefficient over the one given, with its standard error where the ranking has it."""
+    """Return refitted over given coefficients, with standard errors if the ranking has them."""
     row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):

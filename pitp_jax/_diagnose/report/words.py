@@ -1,4 +1,4 @@
-"""A diagnosis in some lines: the model handed back and its parts with their numbers, the verdict, the next step."""
+"""A diagnosis in a few lines: the returned model and its parts with parameters, the verdict, the next step."""
 
 from ..._model.units import units_of
 from ..._report.numbers import interval, of_range, percent
@@ -6,8 +6,8 @@ from .formatting import named, parameter_between, plain_words
 
 
 def lines(d) -> list[str]:
-    """For the terminal."""
-    from .answers import next_step  # the page's cards are made of these words
+    """Return the lines for the terminal."""
+    from .answers import next_step  # the page's cards use the same words
 
     told = [result_line(d), *(f"  {line}" for line in part_lines(d))]
     said = f"verdict: {d.verdict}" + (f" by {named(d.effects)}" if d.effects else "")
@@ -29,7 +29,7 @@ def lines(d) -> list[str]:
 
 
 def result_line(d) -> str:
-    """Say what the model that is handed back does to the error, out of sample."""
+    """Return a line on the returned model's reduction of the error, out of sample."""
     g = d.gap
     if d.verdict == "no_gap":
         return f"The nominal model is handed back: its error, {of_range(g.before)} of range, is its own."
@@ -51,7 +51,7 @@ def result_line(d) -> str:
 
 
 def part_lines(d) -> list[str]:
-    """Every part of the model handed back: numbers with intervals, its contribution and its certainty."""
+    """Return a line for every part of the returned model: parameters with intervals, contribution and certainty."""
     told = []
     for part in d.parts:
         line = f"{part.effect} ({part.form}): {', '.join(numbers_of(d, part))}"
@@ -60,14 +60,14 @@ def part_lines(d) -> list[str]:
 
 
 def numbers_of(d, part, equals: str = " ") -> list[str]:
-    """The numbers of a part, one text each."""
+    """Return the parameters of a part, one text each."""
     unit = d.model.origin.displacement_unit
     texts = (parameter_between(name, number, unit) for name, number in part.parameters.items())
     return [f"{label}{equals}{text}" for label, text in texts]
 
 
 def contribution(part) -> list[str]:
-    """The part's fraction of the reduction, and P; nothing for coefficients that a refit fits along."""
+    """Return the part's fraction of the reduction, and P; empty for coefficients of a refit."""
     if not part.fraction:
         return []
     sure = "" if part.probability is None else f", P {part.probability:.2f}"
@@ -75,7 +75,7 @@ def contribution(part) -> list[str]:
 
 
 def certainty(part) -> str:
-    """How certain a part is, in words."""
+    """Return the certainty of a part in words."""
     if part.certainty == "tied":
         return f"tied: these recordings do not separate it from {named(part.tied)}"
     if part.certainty == "likely":

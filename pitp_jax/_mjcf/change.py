@@ -1,0 +1,30 @@
+"""Changes of a MuJoCo file, and parameters that it cannot hold."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Change:
+    """One changed attribute.
+
+    Attributes:
+        element: `joint`, `actuator`, or `body` for one that is inserted.
+        attribute: its name.
+        old, new: values as the file spells them; old empty where the file's own element has none.
+        text: the comment: from, to, interval, unit.
+    """
+
+    element: str
+    attribute: str
+    old: str
+    new: str
+    text: str
+
+
+@dataclass(frozen=True)
+class NotWritten:
+    """A parameter that a MuJoCo file cannot hold: its name, its value, and the nearest way with its cost."""
+
+    words: str
+    value: str
+    way: str
