@@ -14,7 +14,7 @@ check = beartype(conf=CONF)
 
 
 def modules(package: str) -> tuple[list[str], list[str]]:
-    """List the modules of a package that state shapes, and all others, without importing any."""
+    """List the modules of a package that state shapes, and all others, without importing them."""
     spec = find_spec(package)
     assert spec is not None and spec.submodule_search_locations is not None
     (folder,) = map(Path, spec.submodule_search_locations)
@@ -22,5 +22,7 @@ def modules(package: str) -> tuple[list[str], list[str]]:
     for path in sorted(folder.rglob("*.py")):
         parts = path.relative_to(folder.parent).with_suffix("").parts
         name = ".".join(part for part in parts if part != "__init__")
-        (shaped if "jaxtyping" in path.read_text(encoding="utf-8") else plain).append(name)
+        text = path.read_text(encoding="utf-8")
+        # names that only the type checker imports are unknown to beartype alone
+        (shaped if "jaxtyping" in text or "TYPE_CHECKING" in text else plain).append(name)
     return shaped, plain
