@@ -40,7 +40,7 @@ def test_what_does_not_move_is_left_out(nominal):
     records = play(nominal)
     kept, notes = usable([*records, resting("rest", 2e-6), resting("dead", 0.0)])
     assert [r.name for r in kept] == [r.name for r in records]
-    assert notes == ("left out, since they do not move beyond their noise: rest, dead",)
+    assert notes == ("left out, because they show no motion beyond their noise: rest, dead",)
     small = replace(records[0], name="small", displacement=records[0].displacement / 50)
     assert len(usable([*records, small])[0]) == 8  # a fiftieth of the range moves all the same
 
@@ -48,7 +48,7 @@ def test_what_does_not_move_is_left_out(nominal):
 @pytest.mark.parametrize(
     ("records", "told"),
     [
-        (lambda r: [resting("rest", 0.0)], "no record moves"),
+        (lambda r: [resting("rest", 0.0)], "no recording shows motion"),
         (lambda r: [*r, replace(r[0], voltage=r[1].voltage)], "2 records are named 'sweep'"),
     ],
     ids=("still", "twice"),
