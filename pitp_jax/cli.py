@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one `pitp` command.
 
     Args:
-        argv: arguments after the program's name; None takes those of the process.
+        argv: arguments after the program's name; None takes the process's own.
 
     Returns:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.

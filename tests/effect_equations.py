@@ -282,6 +282,14 @@ EQUATIONS = {
     "force_limit: inside the loop": Equation(((3.0,),), {2: 2e-2}, carried=_beyond_limit),
     "slack: free fall": Equation(((1.5,),), {2: 2e-2}, limit=lambda acc, p: max(acc, -1 / p.inverse)),
     "electrode_rc: one lag": Equation(((0.02,),), {2: 1e-6}, **_lags((1.0,), "u")),
+    "bleeder: one lag each way": Equation(
+        ((0.005, 0.04),), {2: 1e-3}, film=lambda u, s, p: s[0], begin=lambda x, u, p: (u,),
+        rates=lambda x, v, u, s, p: ((u - s[0]) / (p.up if abs(u) > abs(s[0]) else p.down),),
+    ),
+    "force_lag: one lag": Equation(
+        ((0.02,),), {2: 1e-3}, film=lambda u, s, p: np.sqrt(s[0]), begin=lambda x, u, p: (u * u,),
+        rates=lambda x, v, u, s, p: ((u * u - s[0]) / p.tau,),
+    ),
     "slew_limit: rate limit": Equation(((1e-4,),), {2: 5e-5}, **_slew(tau=False)),
     "voltage_clip: hard": Equation(
         ((1 / 700,),), {2: 6e-5}, film=lambda u, s, p: min(max(u, -1 / p.inverse), 1 / p.inverse)

@@ -34,6 +34,8 @@ NUMBERS = {
     "force_limit: inside the loop": (2.0,),
     "slack: free fall": (0.6974,),
     "electrode_rc: one lag": (0.003183,),
+    "bleeder: one lag each way": (0.002, 0.008),
+    "force_lag: one lag": (0.003183,),
     "slew_limit: rate limit": (2.947e-05,),
     "voltage_clip: hard": (0.0012,),
     "dead_zone: symmetric": (45,),

@@ -7,7 +7,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import FEW, nominal_of, play
+from played import DT, FEW, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
@@ -189,6 +189,24 @@ def test_excluded_names_are_not_said(nominal, hardened, monkeypatch):
     assert "stiffening" not in (*found.effects, *found.equivalent, *(r.effect for r in found.ranking))
     assert found.gap.after > hardened.gap.after
     assert found.interrupted and {p.effect for p in found.parts} >= {*found.handed_back} - {"parameters", "term"}
+
+
+@pytest.mark.slow
+def test_an_early_output_is_told_and_taken_out_and_names_nothing(nominal):
+    """Three samples early: the machine has no gap. With a clip beside it the clip is reported, and no shift."""
+    late = 3 * DT
+
+    def early(records):
+        return [replace(r, displacement=np.interp(r.time + late, r.time, r.displacement)) for r in records]
+
+    others = [n for n in FEW if n != "slew_limit"]
+    found = pitp.diagnose(nominal, early(play(nominal, seed=4)), exclude=others)
+    assert (found.verdict, found.effects) == ("no_gap", ())
+    assert found.clock_shift == pytest.approx(late, rel=0.03) and found.as_json()["clock_shift_s"] == found.clock_shift
+    assert any("3.0 samples) early" in note and "Check the clocks" in note for note in found.notes)
+    clipped = replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),))
+    both = pitp.diagnose(nominal, early(play(clipped)), exclude=others)
+    assert both.effects == ("voltage_clip",) and both.clock_shift == pytest.approx(late, rel=0.05)
 
 
 @pytest.mark.slow

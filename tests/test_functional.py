@@ -115,6 +115,7 @@ def test_free_run_is_the_equations_solution(plain):
     np.testing.assert_allclose(found, pitp.rollout(plain, u), rtol=0, atol=1e-6 * np.ptp(truth))
 
 
+@pytest.mark.slow  # random models of every kind stand in test_round_trips
 @pytest.mark.parametrize(("kind", "bound"), [("closed_form", 1e-3), ("discrete", 5e-6)])
 def test_a_free_run_of_the_inverse_is_the_target(trained, double, kind, bound):
     """Closed: eq. 13 holds tokens nowhere, the decoder over a step, some (w dt)^2 / 12 of a nonlinear force.

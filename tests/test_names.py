@@ -10,8 +10,8 @@ import pytest
 from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
-from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.library import NAMES, OFF, PLACES, ROWS, Scale, _no_faster, forms, named
+from pitp_jax._diagnose.fit import Fit, at
+from pitp_jax._diagnose.library import INDEX, NAMES, OFF, PLACES, ROWS, Scale, _no_faster, bounds, forms, named
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax._diagnose.verdict import decide
 from pitp_jax._effects import CATALOGUE, lookup
@@ -72,6 +72,29 @@ def test_the_slowest_memory_decides_between_relaxation_and_creep(second):
     assert named("viscoelastic", slots(slow, *beside), SCALE) == "creep"
 
 
+def test_a_resonance_is_sought_where_both_its_sides_were_excited():
+    """A delay of a position loop was reported as a second mode above all that was played."""
+    modes = [f for f in forms(replace(SCALE, low=1.0, high=100.0)) if f.name == "second_mode"]
+    frequencies = [v for f in modes for k, v in f.start.items() if k.endswith("omega")]
+    assert frequencies and 1.0 < min(frequencies) <= max(frequencies) < 100.0
+    assert not [f for f in forms(replace(SCALE, low=10.0, high=12.0)) if f.name == "second_mode"]
+
+
+def test_a_number_stays_within_what_was_reached():
+    """Dry friction that changes at speeds beyond all that were reached is dry friction of another level."""
+    ends = bounds(replace(SCALE, fastest=3.0))
+    assert ends["coulomb_friction: Stribeck, speed"] == (0.0, 3.0) and ends["hysteresis: Dahl, width"] == (0.0, 2.0)
+    fit = Fit((), ("coulomb_friction: Stribeck, speed",), slots(), np.zeros((1, 2)))
+    assert at(fit, np.array([np.log(50.0)]), ends)[INDEX["coulomb_friction: Stribeck, speed"]] == 3.0
+
+
+@pytest.mark.parametrize(("lag", "tied"), [(0.11, ("sensor_lag",)), (0.2, ())])
+def test_a_delay_is_tied_with_a_lag_unless_the_band_separates_them(monkeypatch, lag, tied):
+    monkeypatch.setattr(verdict, "reference", lambda case, h, floors: h.evidence)
+    one, other = hypothesis(("delay",), 0.1), hypothesis(("sensor_lag",), lag)
+    assert decide(searched(one, other), 0.0, 0.0, 9).tied["delay"] == tied
+
+
 def hypothesis(names, error, numbers=1, labels=None, seed=0):
     """A set that leaves white noise of one size in every record, the same noise for all sets."""
     rng = np.random.default_rng(seed)
@@ -103,6 +126,24 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     assert searched(hypothesis(("backlash",), 0.303, numbers=4), hypothesis(("delay",), 0.30)).best().names == (
         "delay",
     )
+
+
+def test_steps_are_kept_for_judging_what_was_fitted():
+    budget = Budget(most=100)
+    budget.lane_steps = 60
+    with budget.keeping(50):
+        assert budget.spent
+    assert not budget.spent and budget.allows("out of fold") and (budget.most, budget.reserve) == (100, 0.0)
+
+
+@pytest.mark.parametrize(("misfit", "numbers"), [(0.0, 3), (0.02, 1)])
+def test_below_the_nominals_own_error_no_form_wins_by_more_numbers(misfit, numbers):
+    """Dry friction was reported by half its level and a rise beside it, for a fifth of the nominal's own error."""
+    search = searched()
+    search.misfit, search.samples = misfit, RECORDS * SAMPLES
+    plain, rich = hypothesis(("drag",), 0.012), hypothesis(("drag",), 0.010, numbers=3)
+    fits = [replace(h.fit, residuals=h.residuals, cost=h.evidence.score) for h in (plain, rich)]
+    assert len(search._plainest(fits).free) == numbers
 
 
 def test_moved_coefficients_are_taken_before_a_name_that_is_no_better():

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from played import SAMPLES, TIME, nominal_of, play
+from scipy.signal import lfilter
 
 import pitp_jax as pitp
 from pitp_jax._diagnose.data import build_case
@@ -41,6 +42,10 @@ def test_what_does_not_move_is_left_out(nominal):
     kept, notes = usable([*records, resting("rest", 2e-6), resting("dead", 0.0)])
     assert [r.name for r in kept] == [r.name for r in records]
     assert notes == ("left out, because they show no motion beyond their noise: rest, dead",)
+    rng = np.random.default_rng(6)  # a drive read by a monitor, and a sensor with noise of long memory
+    slow = 2e-5 * np.asarray(lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], rng.standard_normal(SAMPLES)))
+    read = replace(resting("read", 0.0), voltage=2 * rng.standard_normal(SAMPLES), displacement=slow)
+    assert [r.name for r in usable([*records, read])[0]] == [r.name for r in records]
     small = replace(records[0], name="small", displacement=records[0].displacement / 50)
     assert len(usable([*records, small])[0]) == 8  # a fiftieth of the range moves all the same
 

@@ -15,7 +15,7 @@ _DRAWN = 12  # recordings
 
 
 def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray], str]] | None = None) -> str:
-    """Return a self-contained HTML page; `drawn`: its `figures`, which the page makes small; None draws them."""
+    """Return a self-contained HTML page; `drawn`: its `figures`, which are reduced in size; None draws them."""
     shown = figures(found) if drawn is None else drawn
     pictures = [html.picture(name, each, caption) for name, (each, _, caption) in shown.items()]
     parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
@@ -23,7 +23,7 @@ def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray],
 
 
 def first_screen(found: SimToReal) -> str:
-    """Return headline and parameters, without the page around."""
+    """Return headline and parameters as HTML without the page frame."""
     return "".join(_first(found))
 
 
@@ -88,7 +88,7 @@ def _budget(found: SimToReal) -> list[str]:
 
 
 def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], str]]:
-    """Return per recording the robot with the simulator and the correction: figure, its numbers, caption."""
+    """Return figure, numbers and caption for every recording: robot, simulator and correction."""
     made = {}
     for pair in found.pairs.pairs[:_DRAWN]:
         name = pair.first.name.replace("/", "_")

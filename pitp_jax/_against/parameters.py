@@ -290,7 +290,7 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             if p.name == "inverse":  # stored so that 0 means no limit; reported as the limit
                 error = None if error is None or not value else error / value**2
                 value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
-                if p.force:  # a limit of the drive's force
+                if p.force:  # a limit of the actuator's force
                     value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # by its force, not by its unit: a backlash in rad is not a command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error

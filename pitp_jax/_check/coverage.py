@@ -42,7 +42,7 @@ class Coverage:
     unit: str = "V"
 
     def advice(self) -> list[str]:
-        """Return a sentence for every gap, and one if the amplitude beside the resonance never changes."""
+        """Return a sentence for every gap, and one if the amplitude near the resonance never changes."""
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
             by = " (frequencies of the force; an input without bias runs at half of them)" if self.doubled else ""
@@ -111,7 +111,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
-    """Return the gaps between excited frequencies, and those to the ends of the range beside the resonance."""
+    """Return the gaps between excited frequencies, and those to the ends of the range near the resonance."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]

@@ -126,7 +126,7 @@ def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator,
 
 
 def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
-    """Refuse outputs that cannot be written, or that would replace files of others."""
+    """Refuse outputs that cannot be written, or that would replace the user's own files."""
     made = [] if mjcf is None else [identified_name(mjcf)]
     check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
     if out is None:
@@ -160,7 +160,7 @@ def _write(
 
 
 def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
-    """Remove files of an earlier diagnosis, and print what was written."""
+    """Remove files of an earlier diagnosis, and print the names of the written files."""
     _tidy(out, written)
     added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
     page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
@@ -228,7 +228,7 @@ def _attempt(what: str, make: Callable[[], T]) -> T | None:
 
 
 def _is_drive(file: Path) -> bool:
-    """Return whether a file is missing or an input to play, which has a time and an input but no measurement."""
+    """Return whether a file is missing, or has a time and an input but no measurement."""
     if not file.is_file():
         return True
     with open(file, encoding="utf-8", errors="replace") as stream:
@@ -245,7 +245,7 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
-    """Write the pages and their figures into an existing folder, each without those that fail."""
+    """Write the pages and their figures into an existing folder; any that fail are reported and left out."""
     robot = _robot_of(diagnosis)
 
     def write(name, drawing, columns=None):

@@ -65,7 +65,7 @@ def suspects(held_out: Sequence[HeldOut]) -> list[str]:
 
 
 def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
-    """Return the same errors for JSON."""
+    """Return the errors of every record for JSON."""
     predicted = {h.name: {"left_out_e_rms_percent": h.predicted, "problem": h.problem or None} for h in held_out}
     rows = {
         e.name: {"nominal_e_rms_percent": e.nominal, "trained_e_rms_percent": e.trained, **predicted.get(e.name, {})}

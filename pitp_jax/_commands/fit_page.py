@@ -164,7 +164,7 @@ def _run(record: Record, run: Prediction) -> Figure:
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
-    """Draw a dot per record, with its colour for the kind of input and its error beside it."""
+    """Draw one dot per record, coloured by the kind of input, with its error as text."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit = records[0].displacement_unit
     kinds = [kind(r) for r in records]

@@ -88,7 +88,7 @@ def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
 def staged(
     *, file: str | None = None, folder: str | os.PathLike | None = None, json_file: str | None = None, value: Any = None
 ) -> Iterator[Path]:
-    """Yield a hidden place for a command's output: with its JSON all of it appears, or on any failure nothing.
+    """Yield a hidden path for a command's output; all of it appears at the end, or nothing after a failure.
 
     Args:
         file: wanted file, whose hidden name is yielded; a device is written to directly.

@@ -73,7 +73,7 @@ def plan(
 
 
 def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
-    """Return the model file and the records, in whichever order they were given."""
+    """Return the model file and the records of the arguments, which may have any order."""
     if not paths:
         return None, []
     models = [p for p in paths if Path(p).is_file() and is_model_file(p)]

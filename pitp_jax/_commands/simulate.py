@@ -60,7 +60,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """Print what was recognised, and which voltages lie outside the model's range."""
+    """Print what was recognised, and the voltages outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)

@@ -45,7 +45,7 @@ def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
 
 
 def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
-    """Return the factors of either model's last `adapt` that the other model has not."""
+    """Return the factors of either model's last `adapt` that the other model lacks."""
     rows = []
     for k, (mine, other) in enumerate(((a, b), (b, a))):
         for entry in mine.origin.adapted:

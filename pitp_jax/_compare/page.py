@@ -69,7 +69,7 @@ def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
     """Draw both outputs over the time since the first recording's start, and the difference; return the numbers too."""
     unit = pair.first.displacement_unit
-    time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
+    time = pair.first.time - pair.first.time[0]  # clocks of two rigs have different origins
     one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
     part = some_periods(one)

@@ -44,12 +44,12 @@ class Pair:
     output_sign: int = 1
 
     def command(self) -> np.ndarray:
-        """Interpolate the second's command at the times of the first, held at its ends and mirrored; shape (T,)."""
+        """Interpolate the second recording's command at the times of the first, held at its ends and mirrored, (T,)."""
         sign = -1 if self.correlation < 0 else 1
         return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Interpolate the second's output at the times of the first, mirrored; nan outside and where missing."""
+        """Interpolate the second recording's output at the times of the first, mirrored, nan where missing, (T,)."""
         return self.output_sign * _at(self.first, self.second, self.offset)
 
 

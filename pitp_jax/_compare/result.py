@@ -40,7 +40,7 @@ class Difference:
     def words(self) -> str:
         """Return the difference in one line."""
         ratio = ""
-        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves say more
+        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
             ratio = f" (factor {number(self.b / self.a)})"
         return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio

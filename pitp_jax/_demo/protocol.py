@@ -228,7 +228,7 @@ def noise_floor(demo: Demo, name: str) -> float:
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
-    """Return Tables I (in-sample) and II beside the paper's, and one of the held-out records."""
+    """Return Tables I (in-sample) and II with the paper's values, and a table of the held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
     in_sample, held_out, tracking = [], [], []
     for f, paper in PREDICTION_PAPER[demo.name].items():

@@ -5,7 +5,8 @@ far.
 """
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,6 +66,18 @@ class Budget:
     def elapsed(self) -> float:
         """Return the seconds since the start."""
         return time.monotonic() - self.began
+
+    @contextmanager
+    def keeping(self, lane_steps: int) -> Iterator[None]:
+        """Reserve the time and the count of so many steps for the work after the search."""
+        seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
+        before = self.reserve, self.most
+        self.reserve += seconds if np.isfinite(self.seconds) else 0.0
+        self.most -= lane_steps
+        try:
+            yield
+        finally:
+            self.reserve, self.most = before
 
     def stop(self, what: str) -> None:
         """Stop all further work, and note what was not tried."""

@@ -17,6 +17,7 @@ import numpy as np
 from .._errors import BadInput
 from .._model.model import Model
 from .._record.initial_state import aligned, noise_std
+from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.reduced import centred_means, fastest_hz, samples_before
 from .._record.sets import session_clock
@@ -31,6 +32,7 @@ STEPS = 24  # steps a period of the nominal's own mode, at least
 _FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
 _MOST_FOLDS = 6
+_AROUND = 1e-3  # of the force's energy: outside of the band that was excited
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,8 @@ class Case:
     """A nominal model with its records.
 
     Attributes:
-        model: the nominal. series: thinned, in the order given.
+        model: the nominal.
+        series: thinned, in the order given.
         simulator: of all of them.
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
@@ -274,6 +277,13 @@ def _beside(case: Case, records) -> Case:
         own = centred_means(own, case.thinned, s.begins == "rest")
         series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
     return replace(case, series=tuple(series))
+
+
+def excited_hz(case: Case) -> tuple[float, float]:
+    """Return the band of frequencies, Hz, that holds all but a thousandth of the force's energy, either end half."""
+    forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
+    ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
+    return ends[0], ends[1]
 
 
 def excitations(case: Case) -> int:

@@ -19,6 +19,7 @@ from .._record.record import Record
 from .._record.sets import clock_start
 from . import rules
 from .budget import Budget
+from .clocks import put_back, remark
 from .data import FEWEST_FOLDS, Case, build_case, excitations
 from .gap import (
     Gap,
@@ -34,7 +35,7 @@ from .gap import (
     spans,
 )
 from .handing_back import hand_back, package_error
-from .library import CHANGED, CORE, FREE, INDEX
+from .library import CHANGED, CORE, EARLY, FREE, INDEX, SHIFT
 from .next_experiment import Experiment, separate
 from .parts import Parts, parts_of
 from .pieces import Piece, cut
@@ -44,7 +45,7 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .traces import Trace, traces_of
-from .verdict import Decision, decide
+from .verdict import Decision, decide, needed, rival_without
 from .where import locate, motions, nowhere
 
 T = TypeVar("T")
@@ -93,6 +94,7 @@ class Diagnosis:
         term: an unnamed force as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
         pieces: the pieces of a long set that the search used; None: all of it.
+        clock_shift: time (s) by which the output column was ahead of the input column; removed before the diagnosis.
         interrupted: the search was interrupted; the result is the best scored so far.
     """
 
@@ -120,6 +122,7 @@ class Diagnosis:
     reason: str = ""
     lane_steps: int = 0
     pieces: tuple[Piece, ...] | None = None
+    clock_shift: float = 0.0
     interrupted: bool = False
 
     @property
@@ -147,6 +150,7 @@ class Diagnosis:
             "handed_back": list(self.handed_back),
             "parts": self.parts.as_json(),
             "refit": self.refit,
+            "clock_shift_s": self.clock_shift,
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
             "term": self.term.as_json() if self.term else None,
@@ -214,25 +218,18 @@ def diagnose(
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
-    searched, pieces = cut(model, records)
-    case = build_case(model, searched, tuple(mesh.devices.flat) if mesh is not None else (), records)
-    began = limit.elapsed
-    before = package_error(model, records)
-    # free runs of all recordings follow the search: of the best hypotheses, and for the report
-    limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), seconds / 2)
-    misfit, source = own_misfit(case) if not refit_nominal else (0.0, "not known in a refit")
-    noise = beside_noise(case, 0.0, case.thinned)
-    # in a refit the nominal was made from these records, so its error on others is unknown
-    own = beside_noise(case, misfit, case.thinned) if not refit_nominal else 0.0
-    search = Search(case, refit_nominal, exclude, limit, max(own, noise), misfit)
-    interrupted = False
-    if not search.given.rms <= rules.OWN * own:
-        try:
-            search.run()
-        except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
-            interrupted = True
-            limit.stop("the rest of the search (interrupted)")
-    distinct = excitations(case)
+    devices = tuple(mesh.devices.flat) if mesh is not None else ()
+    found = _searched(model, records, refit_nominal, exclude, limit, devices)
+    early, best = 0.0, found.search.best()
+    if SHIFT.name in best.names and not found.interrupted:
+        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
+            early = best.fit.value(EARLY)
+            notes, records = (remark(early, records[0].dt), *notes), put_back(records, early)
+        exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
+        found = _searched(model, records, refit_nominal, exclude, limit, devices)
+    search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
+    case, own, misfit, source = search.case, found.own, search.misfit, found.source
+    noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
     limit.begin("judging the best set")
     decision = decide(search, own, noise, distinct)
     handed, made, names_back = hand_back(search, decision, model, records, before)
@@ -318,8 +315,49 @@ def diagnose(
         reason=decision.reason if decision.verdict == "unknown" else "",
         lane_steps=limit.lane_steps,
         pieces=pieces,
+        clock_shift=early,
         interrupted=interrupted,
     )
+
+
+@dataclass(frozen=True)
+class _Searched:
+    """A finished search with its data.
+
+    Attributes:
+        pieces: the pieces of the records that the search used; None: all of them.
+        before: the nominal's error in the package's free runs.
+        own: the nominal's own error, 0 if unknown; source: its origin.
+        interrupted: whether the user interrupted the search.
+    """
+
+    search: Search
+    pieces: tuple[Piece, ...] | None
+    before: float
+    own: float
+    source: str
+    interrupted: bool
+
+
+def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, limit: Budget, devices) -> _Searched:
+    searched, pieces = cut(model, records)
+    case = build_case(model, searched, devices, records)
+    began = limit.elapsed
+    before = package_error(model, records)
+    # free runs of all recordings follow the search: of the best hypotheses, and for the report
+    limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
+    # in a refit the nominal was made from these records, so its error on others is unknown
+    misfit, source = own_misfit(case) if not refit else (0.0, "not known in a refit")
+    own, noise = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0))
+    search = Search(case, refit, exclude, limit, max(own, noise), misfit)
+    own, interrupted = 0.0 if refit else own, False
+    if not search.given.rms <= rules.OWN * own:
+        try:
+            search.run()
+        except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
+            interrupted = True
+            limit.stop("the rest of the search (interrupted)")
+    return _Searched(search, pieces, before, own, source, interrupted)
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:
@@ -351,7 +389,7 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 
 
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
-    """Return the experiment that separates the tied effects, or those between which no verdict was possible."""
+    """Return the experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
     if decision.said and decision.tied.get(decision.said[0]):
         names = decision.said[0], decision.tied[decision.said[0]][0]

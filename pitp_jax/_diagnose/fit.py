@@ -88,13 +88,13 @@ def coordinates(fit: Fit) -> np.ndarray:
     return np.where(log, np.log(np.maximum(values, 1e-300)), values)
 
 
-def at(fit: Fit, z: np.ndarray, lowest: Mapping[str, float] = MappingProxyType({})) -> np.ndarray:
-    """Return the slots at other free coordinates, none below its `lowest`."""
+def at(fit: Fit, z: np.ndarray, bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})) -> np.ndarray:
+    """Return the slots at other free coordinates, each within its `bounds`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
     slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
-    for name in lowest.keys() & set(fit.free):
-        slots[INDEX[name]] = max(slots[INDEX[name]], lowest[name])
+    for name in bounds.keys() & set(fit.free):
+        slots[INDEX[name]] = np.clip(slots[INDEX[name]], *bounds[name])
     return slots
 
 
@@ -146,7 +146,7 @@ class Fitter:
     def __init__(self, case: Case, budget: Budget | None = None):
         self.case = case
         self.budget = budget or Budget()
-        self.lowest: dict[str, float] = {}  # lower limits of slots
+        self.bounds: dict[str, tuple[float, float]] = {}  # of slots, by what these records show
         self._masks = {fold: case.masks(fold) for fold in (None, *range(len(case.folds)))} | {PREVIEW: case.screened()}
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
@@ -173,7 +173,7 @@ class Fitter:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
     def _residual(self, slots, starts, record: int, run):
-        """Return the projected residual and the moved start.
+        """Return the projected residual and the corrected initial state.
 
         A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
         block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
@@ -217,7 +217,11 @@ class Fitter:
             log = LOGARITHM[[INDEX[k] for k in fit.free]]
             # relative to a parameter and its start, so that one near zero still gets a visible step
             step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
-            moved = [at(fit, z + move, self.lowest) for move in np.diag(step)]
+            moved = [at(fit, z + move, self.bounds) for move in np.diag(step)]
+            for n, k in enumerate(fit.free):
+                if moved[n][INDEX[k]] == fit.slots[INDEX[k]]:  # at its upper bound: downwards
+                    step[n] = -step[n]
+                    moved[n] = at(fit, z + np.eye(len(z))[n] * step[n], self.bounds)
             fit.jacobian = [np.zeros((0, 0))] * len(self.case.series)
             for k in self._seen(fit.fold):
                 # the unmoved run in the same block, because rounding of another program would not cancel
@@ -242,7 +246,7 @@ class Fitter:
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Move every fit several steps; converged fits stay.
+        """Advance every fit by several steps; converged fits do not change.
 
         Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
         samples.
@@ -260,13 +264,13 @@ class Fitter:
             if not active or self.budget.spent:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
-            trials = [at(f, coordinates(f) + self._move(f), self.lowest) for f in active]
+            trials = [at(f, coordinates(f) + self._move(f), self.bounds) for f in active]
             for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
                 self._judge(f, p, cost, residuals, starts)
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Return the cost of every fit after one Gauss-Newton step, using its front's slopes for common parameters.
+        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """

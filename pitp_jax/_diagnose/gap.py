@@ -92,7 +92,7 @@ def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
-    """Compare the errors.
+    """Return the gap computed from the errors of the three models.
 
     Args:
         search, decision: of the diagnosis.
@@ -111,8 +111,10 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 
 
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
-    """Return the verdict, but at best "partly" if the interval of the closed fraction reaches 0."""
-    return "partly" if verdict == "explained" and gap.ci95 is not None and gap.ci95[0] <= 0 else verdict
+    """Return the verdict, limited to "partly" if the closed fraction may be 0 or a large error remains."""
+    nothing = gap.ci95 is not None and gap.ci95[0] <= 0
+    much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
+    return "partly" if verdict == "explained" and (nothing or much) else verdict
 
 
 def closed(before: float, after: float, low: float) -> float | None:
@@ -180,7 +182,7 @@ def _noise(case: Case) -> float:
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
-    """Return the error that counts beside the noise, for records whose samples are averaged in blocks.
+    """Return the nominal's own error, adjusted for noise, for records whose samples are averaged in blocks.
 
     (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples removes white noise
     on both sides, so the comparison stays that of the full rate.

@@ -15,7 +15,7 @@ from .._simulate.prediction import predict
 from .._simulate.voltage_only import rollout
 from . import rules
 from .evidence import probability
-from .library import CORE, FREE, model_of
+from .library import CORE, FREE, SHIFT, model_of
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision
 
@@ -44,7 +44,7 @@ def hand_back(
         tried = [*sure[:3], *tried]
     tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
     for h in tried:
-        if not h.fit.free or probability(h.evidence.bare, given) < rules.SURE:
+        if not h.fit.free or SHIFT.name in h.names or probability(h.evidence.bare, given) < rules.SURE:
             continue
         # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:

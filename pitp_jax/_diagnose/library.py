@@ -15,18 +15,26 @@ from .._effects import CATALOGUE, lookup
 from .._effects.effect import Effect
 from .._effects.found_term import TERM
 from .._effects.physical import in_scales
-from .._effects.spec import EffectSpec
+from .._effects.spec import EffectSpec, Parameter
 from .._model.drive import DirectDrive
 from .._model.encoder import ConstantEncoder
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model, linear_model
 
 FREE = "term"  # a force without a name
+# a fault of the records: it is removed from them and is not a part of a model
+SHIFT = EffectSpec(
+    "clock_shift", "early output", (Parameter("time", "s", off=0.0, linear=False),),
+    "The output column is early beside the input column.", "y(t) = x(t + T), T = time", "record", "IN",
+    law=lambda p, u, z: u,
+)  # fmt: skip
 CHANGED = "parameter_change"  # the label of coefficients that have changed
+_SIDES = 1.2  # the excited band extends beyond a resonance by at least this factor on both sides
 # names that share a law in one of their forms: a hypothesis holds at most one form of each
 _GROUPS = {
     "stiffening": "spring", "softening": "spring", "creep": "viscoelastic", "relaxation": "viscoelastic",
-    "charge_leak": "charge", "charge_retention": "charge", TERM.name: FREE,
+    "charge_leak": "charge", "charge_retention": "charge", "electrode_rc": "electrode", "bleeder": "electrode",
+    TERM.name: FREE,
 }  # fmt: skip
 
 
@@ -77,18 +85,40 @@ class Scale:
     a2: float
     force: float
     radian: float = 0.0  # 1 / rad in scaled coordinates; 0: the output is not an angle
+    fastest: float = np.inf  # scaled speed that 0.5 % of the samples exceed
+    low: float = 0.0  # rad/s, lower and upper end of the excited band
+    high: float = np.inf
 
 
 def forms(s: Scale) -> list[Form]:
-    """Return every form with its starts."""
-    made = []
+    """Return the forms that can be fitted to these records, with their starting parameters."""
+    made, within = [], bounds(s)
     for key, *starts in _starts(s):
         spec = _BY_KEY[key]
-        made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in starts]
+        ends = [within.get(k, (-np.inf, np.inf)) for k in slots_of_row(spec)]
+        if all(low < high for low, high in ends):
+            begun = [[float(np.clip(v, *e)) for v, e in zip(n, ends, strict=True)] for n in starts]
+            made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in begun]
     # a changed mass: heavier and lighter; without a mass, a small and a large one relative to the damping
     masses = (1.2 * s.a2, 0.85 * s.a2) if s.a2 > 0 else (0.05 * s.tau * _damping(s), 0.5 * s.tau * _damping(s))
     mass = lookup("added_mass")
     return made + [Form(mass.name, mass, {"a2": a2}) for a2 in masses]
+
+
+def bounds(s: Scale) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the parameters that records determine only within their own range, by their slots.
+
+    If a force changes over a speed or a distance beyond all recorded ones, this parameter only scales the force.
+    """
+    span, found = s.top - s.bottom, {}
+    for name, p in zip(NAMES[3:], _NUMBERS, strict=True):
+        if p.slow:  # a memory of the input faster than the plant is a filter of it, not a charge
+            found[name] = s.tau, np.inf
+        elif p.resonance:  # outside the band it is equivalent to a lag or a stiffness
+            found[name] = _SIDES * s.low, s.high / _SIDES
+        elif p.off is None and (p.speed == 1 or p.length == 1):
+            found[name] = 0.0, s.fastest if p.speed else span
+    return found
 
 
 def group(name: str) -> str:
@@ -150,11 +180,14 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
     yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
+    yield "bleeder: one lag each way", (0.05 * tau, 0.5 * tau), (0.5 * tau, 0.05 * tau), (0.3 * tau, 2 * tau)
+    yield "force_lag: one lag", (0.2 * tau,), (tau,)
     yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
     yield "voltage_clip: hard", *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
     yield "voltage_offset: constant", (-0.05 * volts,), (0.05 * volts,)
     yield "dead_zone: symmetric", (0.05 * volts,), (0.2 * volts,)
     yield "delay: pure", (s.dt,), (0.1 * tau,), (0.5 * tau,)
+    yield SHIFT.key, (0.5 * s.dt,), (0.1 * tau,)
     yield "charge_leak: one trap", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "charge_retention: one store", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "stretch_coupling: linear", (0.1 / x,), (-0.1 / x,)
@@ -176,12 +209,12 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield TERM.key, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
 
 
-_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM)}
+_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, SHIFT)}
 _UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
 # the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
-ROWS = tuple(r for r in (*CATALOGUE, TERM) if r in _STARTED | _BESIDE or r.linear)
+ROWS = tuple(r for r in (*CATALOGUE, TERM, SHIFT) if r in _STARTED | _BESIDE or r.linear)
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
@@ -191,7 +224,6 @@ LOGARITHM = np.array([True] * 3 + [p.positive for p in _NUMBERS])
 LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])
 MOST = np.array([np.inf] * 3 + [p.most for p in _NUMBERS])
 COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in ROWS for p in spec.parameters])
-SLOW = tuple(name for name, p in zip(NAMES[3:], _NUMBERS, strict=True) if p.slow)
 # parameters without influence while their effect's strength is off
 SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
 FIXED = np.array([False] * 3 + [p.fixed for p in _NUMBERS])
@@ -201,6 +233,7 @@ PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
     slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")
 )
+(EARLY,) = slots_of_row(SHIFT)
 # parameters of a memory, and of the same law once more, by the name of the search
 DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for r in ROWS if r.second}
 # names that are one parameter of the linear model, and those that recordings cannot separate
@@ -365,7 +398,7 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
 
 
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
-    """Return coefficients with poles beyond `most` (1/s) moved to it, and the slow response unchanged.
+    """Return coefficients with poles limited to `most` (1/s) and an unchanged slow response.
 
     The search steps a linear plant exactly for any poles; the rollout does not, and samples do not show such fast
     poles. For example, a damper with a fitted lag of almost zero diverged in the rollout.

@@ -15,7 +15,7 @@ import numpy as np
 from .._model.units import base_units, units_of
 from . import rules
 from .budget import Budget
-from .data import FEWEST_FOLDS, Case
+from .data import FEWEST_FOLDS, Case, excited_hz
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
@@ -29,9 +29,10 @@ from .library import (
     LAG,
     LONE,
     ROWS,
-    SLOW,
+    SHIFT,
     Form,
     Scale,
+    bounds,
     forms,
     group,
     named,
@@ -44,13 +45,14 @@ _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps ga
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
+_JUDGED_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, fitted and judged out of fold.
+    """A set of effects, fitted and scored out of fold.
 
     Attributes:
         fit: to all records.
@@ -68,7 +70,7 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return its effects by their search names."""
+        """Return the search names of its effects."""
         return self.fit.names
 
     @property
@@ -96,6 +98,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
+    band = 2 * np.pi * np.array(excited_hz(case))
     return Scale(
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
@@ -103,6 +106,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
         voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
         radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
     )  # fmt: skip
 
@@ -144,8 +148,7 @@ class Search:
         self.base = base
         self.scale = scale_of(case, base.fit)
         self.every[frozenset()] = base
-        # a memory of the input faster than the plant is a filter of it, not a charge
-        self.fitter.lowest = dict.fromkeys(SLOW, self.scale.tau)
+        self.fitter.bounds = bounds(self.scale)
         self.library = [f for f in forms(self.scale) if self._is_tried(f)]
         if not refit and CHANGED not in self.exclude:
             moved = replace(self.linear, fit=self.linear.fit.again(names=(PARAMETERS,)), labels=(CHANGED,))
@@ -153,11 +156,15 @@ class Search:
             self.library += [Form(PARAMETERS, None, {})]
 
     def _is_tried(self, form: Form) -> bool:
-        """Return whether a form has a meaning beside the base and is not excluded."""
+        """Return whether a form can be added to the base and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
-        if spec is None or spec.needs_mass and not mass or form.name in self.exclude:
+        if spec is None or form.name in self.exclude:
+            return False
+        if spec.needs_mass and not mass or spec.squares and not self.case.simulator.square:
             return False
         if spec.reported is None and spec.name in self.exclude:
+            return False
+        if spec is SHIFT and DELAY in self.movable:  # the delay of the nominal model may be shorter
             return False
         # in a refit these parameters of the linear model are free in every set
         free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
@@ -236,7 +243,7 @@ class Search:
         return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> None:
-        """Fit one more effect to every front, each by its best form, and judge it out of fold."""
+        """Fit one more effect to every front, each by its best form, and score it out of fold."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
@@ -257,11 +264,13 @@ class Search:
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            self._climb(some)
+            # a hypothesis counts only after it is judged, so the fits leave time for that
+            with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
+                self._climb(some)
             self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
-        """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
+        """Optimise every hypothesis that lowers the error of the one below it, and queue it for its out-of-fold score.
 
         The first steps use few records only, so the best hypotheses continue even if these steps improve no other
         record.
@@ -290,8 +299,19 @@ class Search:
 
     def _gains(self, fit: Fit) -> bool:
         """Return whether a fit has at least GAIN less error than the hypothesis below it."""
-        below = self.every[frozenset(fit.names[:-1])].fit.cost
-        return fit.cost < below - 2 * rules.GAIN * self.samples
+        return self._leaves_less(fit, self.every[frozenset(fit.names[:-1])].fit)
+
+    def _leaves_less(self, fit: Fit, other: Fit) -> bool:
+        """Return whether a fit has GAIN less error than another one; errors below the nominal's own count as that."""
+        return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
+
+    def _left(self, fit: Fit) -> float:
+        """Return the log of a fit's mean square error, at least that of the nominal's own error."""
+        total = 0.0
+        for r, floor in zip(fit.residuals, self.floors, strict=True):
+            seen = r[np.isfinite(r)]
+            total += len(seen) * np.log(max(np.mean(seen**2) + floor, (rules.OWN * self.misfit) ** 2))
+        return total / self.samples
 
     def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
         """Refit waiting hypotheses of this many effects without each fold, until the best three are certain.
@@ -325,12 +345,12 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """Return the form with the fewest parameters of those with at most GAIN more error than the best."""
-        most = min(f.cost for f in forms) + 2 * rules.GAIN * self.samples
-        return min((f for f in forms if f.cost <= most), key=lambda f: (len(f.free), f.cost))
+        """Return the form with the fewest parameters whose error is at most GAIN above the best."""
+        best = min(forms, key=lambda f: f.cost)
+        return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return memories of one time constant, or of two a decade apart if those gain GAIN."""
+        """Return memories with one time constant, or with two a decade apart if these reduce the error by GAIN."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
             if f.names[-1] not in DOUBLED:
@@ -344,7 +364,7 @@ class Search:
         self.fitter.fit([f for _, f in more], _STEPS)
         best = list(fits)
         for n, f in more:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 
@@ -369,12 +389,12 @@ class Search:
                 many.append((n, f.anew(free=free, slots=slots)))
         self.fitter.fit([f for _, f in many], _STEPS)
         for n, f in many:
-            if f.cost < min(best[n].cost, fits[n].cost - 2 * rules.GAIN * self.samples):
+            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
-        """Return the most promising starts of every set, for the sets with the best starts.
+        """Return the most promising starts of the most promising sets.
 
         An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
@@ -419,7 +439,7 @@ class Search:
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
-        """Reset those changed coefficients of the best set to the nominal that need not have changed."""
+        """Reset coefficients of the best set to the nominal where their change is not needed."""
         best = self.best()
         if PARAMETERS not in best.names:
             return
@@ -442,7 +462,7 @@ class Search:
     # -- the beam ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Fill `every` level by level."""
+        """Search level by level, and store the hypotheses in `every`."""
         # in a refit for every linear structure, because gear friction cannot be found without its mass or its delay
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
@@ -475,7 +495,7 @@ class Search:
         return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
-        """Try also sets that lack one effect of the best, because the first effect may stand in for a later one."""
+        """Try also sets that lack one effect of the best, because the first effect may have replaced a later one."""
         best = self.best()
         if len(best.names) > 2:
             for name in best.names:
@@ -518,7 +538,7 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """Return the best of a level, or one as good with changed coefficients, or one parameter instead of all."""
+        """Return the best set of a level, or an equally good one with fewer or only nominal parameters."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
         if PARAMETERS in best.names:
             others = {*best.names} - {PARAMETERS}
@@ -564,7 +584,7 @@ def _written(h: Hypothesis) -> str:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Return fits best first, one of every form before a second one, because first steps of polynomials look alike."""
+    """Return the fits best first, but the best of every form before a second one of any form."""
     seen: dict[frozenset, int] = {}
     turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
     return [

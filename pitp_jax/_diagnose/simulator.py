@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._effects.effect import Effect, Instant
-from .library import COSTLY, DELAY, INDEX, OFF, PLACES, ROWS
+from .library import COSTLY, DELAY, EARLY, INDEX, OFF, PLACES, ROWS
 
 WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # simulations a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
@@ -110,7 +110,7 @@ class Simulator:
         costly = (slots != OFF)[:, COSTLY].any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[places]
         # similar ones together, so that blocks share lengths, delays and the cheap program
-        order = np.lexsort((slots[:, INDEX[DELAY]], places, -steps, costly))
+        order = np.lexsort((_delay(slots), places, -steps, costly))
         blocks, place = [], 0
         while place < len(order):
             mixed = costly[order[place]]
@@ -157,7 +157,7 @@ class Simulator:
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
         """Return the delayed input at every step's ends, shape (steps + 1, lanes); its force is linear in between."""
         # one delayed input for all lanes that share record and delay
-        pairs, which = np.unique(np.stack([records, slots[:, INDEX[DELAY]]], 1), axis=0, return_inverse=True)
+        pairs, which = np.unique(np.stack([records, _delay(slots)], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
             drive = self.drives[int(record)]
@@ -186,8 +186,13 @@ class Simulator:
         return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
 
+def _delay(slots: np.ndarray) -> np.ndarray:
+    """Return the delay of the input (s), shape (lanes,); negative if the output column is ahead of it."""
+    return slots[:, INDEX[DELAY]] - slots[:, INDEX[EARLY]]
+
+
 def root(force: np.ndarray) -> np.ndarray:
-    """Return V of V|V|."""
+    """Return V from the value of V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
 
 

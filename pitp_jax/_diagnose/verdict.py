@@ -130,8 +130,8 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             why = "hold too few kinds of excitation to" if few else "do not"
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
-        # no record can separate these, so they are reported as tied however certain the set is
-        twins = TWINS.get(label, ())
+        # a narrow band cannot separate these, so they are reported as tied however certain the set is
+        twins = () if _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
         if search.refit and label not in LONE:
             twins = ()
         said.append(label)
@@ -160,7 +160,7 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
-    """Return whether a rival only frees all of the nominal's parameters while the set changes one of them."""
+    """Return whether a rival frees all of the nominal's parameters and the set only one of them."""
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
@@ -191,8 +191,17 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
     return fractions
 
 
+def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
+    """Return whether the set fits significantly better than with any equivalent effect instead of this one."""
+    for twin in TWINS.get(label, ()):
+        other = search.judged({*chosen.names} - {name} | {twin})
+        if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
+            return False
+    return True
+
+
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
-    """Return the effects that can replace one; without these too, the set must be certain. None: too many."""
+    """Return the labels of effects that can replace one effect; None if there are too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = rival_without(search, chosen, group)

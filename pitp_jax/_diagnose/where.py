@@ -176,7 +176,7 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 
 def _tone(seen: Seen, errors) -> dict | None:
-    """Return the `steady_tone` of the residuals: its frequency, number of records, and least fraction of a gap."""
+    """Return frequency, number of records and energy fraction of the residuals' `steady_tone`."""
     tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],

@@ -24,7 +24,7 @@ def _stretched(form: str, title: str, equation: str, factor: Callable, costly: b
 
 
 def _no_field(force, possible, inside):
-    """Return the force where it is possible, otherwise infinity, which no field can produce."""
+    """Return the film's force for a wanted force, infinite if no electric field can produce it."""
     return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 

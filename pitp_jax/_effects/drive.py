@@ -1,6 +1,7 @@
 """Effects of amplifier and electrodes on the command before the square (port IN): u to the film's V.
 
-electrode_rc      tau V' = u - V
+electrode_rc      tau V' = u - V                  bleeder         the same, with a tau up and one down
+force_lag         V^2 = F,  tau F' = u^2 - F
 slew_limit        |V'| <= s                      voltage_clip    V = min(max(u, -u_max), u_max)
 dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
 charge_leak       V = u - kappa q,  tau q' = u - q                       voltage_offset  V = u + V_0
@@ -13,7 +14,7 @@ u runs linearly between samples, and lags are exact for it. A record at rest sta
 import jax.numpy as jnp
 
 from .._model.drive import slope
-from .kernels import DELAY, dahl_of_integral, lag, lead, play, slew
+from .kernels import DELAY, dahl_of_integral, lag, lag_each_way, lead, play, slew
 from .spec import EffectSpec, Parameter
 
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
@@ -38,6 +39,11 @@ def _slow_enough(p, v, dt):
     return jnp.abs(slope(v, dt)) * p.inverse <= 1.0
 
 
+def _led_force(p, v, dt):
+    """Compute the force behind the lag."""
+    return lead(v**2, dt, p.tau)
+
+
 def _by_area(p, k, plant):
     """Report a loop that is run through at once as the level at its end."""
     name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
@@ -49,6 +55,22 @@ DRIVE = (
         "electrode_rc", "one lag", (_TAU,), "The electrodes' resistance delays the charging of the film.",
         "tau V' = u - V", "drive", "IN", kernel=lag(), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
+    ),
+    EffectSpec(
+        "bleeder", "one lag each way",
+        (Parameter("up", "s", off=0.0, linear=False), Parameter("down", "s")),
+        "The electrodes discharge faster or slower than they charge.",
+        "tau V' = u - V, tau = up where |u| > |V|, else down", "drive", "IN", kernel=lag_each_way(),
+        law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
+        inverse=lambda p, v, dt: lead(v, dt, jnp.where(p.up > 0, jnp.where(v * slope(v, dt) > 0, p.up, p.down), 0.0)),
+    ),
+    EffectSpec(
+        "force_lag", "one lag", (_TAU,), "The force follows the square of the voltage late.",
+        "V^2 = F, tau F' = u^2 - F", "coupling", "IN", kernel=lag(of=lambda p, u: u**2), squares=True,
+        # not from zero: there a root has no slope
+        law=lambda p, u, z: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(z[0], 1e-9)), u),
+        inverse=lambda p, v, dt: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(_led_force(p, v, dt), 1e-9)), v),
+        passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag",
     ),
     EffectSpec(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",

@@ -22,7 +22,7 @@ def _hung(p, now: Instant):
 
 
 # an overdamped second mode is equivalent to a relaxation or a delay
-MODE = Parameter("omega", "rad/s"), Parameter("zeta", most=0.5)
+MODE = Parameter("omega", "rad/s", resonance=True), Parameter("zeta", most=0.5)
 
 MASSES = (
     EffectSpec(

@@ -1,6 +1,7 @@
 """The memories of all catalogue forms, with exact time steps where known.
 
     lag          tau z' = w - z                                                            (exact for w linear)
+    each way     the same with a time constant up and one down
     oscillator   z'' = w_0^2 (w - z) - 2 zeta w_0 z'                                       (implicit midpoint)
     play         z stays within w - r <= z <= w + r                                        (exact for w monotonic)
     coasting     the same, but z'' = -rate z' until it is caught, then z' = w'              (exact but for the instant)
@@ -67,6 +68,20 @@ def lag(of: Callable = lambda p, w: w) -> Kernel:
         return z + (now.x - z) * now.h[2]
 
     return Kernel(1, lambda p, w, age: jnp.full((1,), of(p, w)), advance, ahead, once=once)
+
+
+def lag_each_way() -> Kernel:
+    """Build a lag with one time constant, `up`, where |w| exceeds |z|, and another, `down`, where it does not."""
+
+    def once(p, h):
+        return [lag_weights(jnp.maximum(tau, 1e-9), h) for tau in (p.up, p.down)]
+
+    def advance(p, z, before, after, weights):
+        rises = jnp.abs(before + after) / 2 > jnp.abs(z)
+        up, down = (lag_followed(z, before, after, *w[:2]) for w in weights)
+        return jnp.where(rises, up, down)
+
+    return Kernel(1, lambda p, w, age: jnp.full((1,), w), advance, once=once)
 
 
 def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:

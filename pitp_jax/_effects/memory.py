@@ -27,7 +27,7 @@ def _by_time(p, k, plant):
 
 
 def _by_give(p, k, plant):
-    """Report a loop as the bristles of dry friction if it gives little before it slides."""
+    """Report a hysteresis loop as dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)

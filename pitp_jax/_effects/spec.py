@@ -33,6 +33,7 @@ class Parameter:
         linear: the effect is proportional to it (used for the first parameter only).
         least, most: bounds of a fit, in the model's scaled coordinates.
         slow: a time constant that is fitted at least as long as the plant's own.
+        resonance: a frequency that is fitted inside the excited band, with both its sides visible.
         fixed: never fitted, because a unit determines it.
     """
 
@@ -48,6 +49,7 @@ class Parameter:
     least: float = -np.inf
     most: float = np.inf
     slow: bool = False
+    resonance: bool = False
     fixed: bool = False
 
 
@@ -80,6 +82,7 @@ class EffectSpec:
         second: name and form of the row with the same law for a second time constant.
         reported: fn(p, k, plant), name, form and parameters of the reported row: signs and sizes decide between rows
             with one law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
+        squares: it differs from a lag of the input only if the force is the square of the voltage.
         needs_mass: it does not apply to a nominal of order one.
     """
 
@@ -106,6 +109,7 @@ class EffectSpec:
     second: tuple[str, str] | None = field(default=None, compare=False)
     reported: Callable[..., Any] | None = field(default=None, compare=False)
     needs_mass: bool = field(default=False, compare=False)
+    squares: bool = field(default=False, compare=False)
 
     @property
     def key(self) -> str:

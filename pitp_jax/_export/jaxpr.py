@@ -92,7 +92,7 @@ def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
-    """Run a primitive that only moves elements on their places; return the origin of each output's elements."""
+    """Apply a primitive that only moves elements to their indices; return the origin of each output's elements."""
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
         return [args[0].reshape(equation.outvars[0].aval.shape)]

@@ -279,7 +279,7 @@ def _vector(plan: Plan) -> Vector:
 
 
 def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the input of every step between these, and the displacement that the model gives."""
+    """Interpolate a coarse input to every step, and return it with the model's displacement."""
     low, high, _ = plan.voltages
     u = np.clip(coarse, low, high)
     if plan.single:  # the controller reads the vector in float, so the reference must start with the same numbers

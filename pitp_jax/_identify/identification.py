@@ -59,15 +59,15 @@ class Identification(Shown):
     """The model of the chosen order, all orders compared, and the initial state of every record.
 
     Attributes:
-        model: its `output` is the zero and the direction of most records.
-        chosen, orders: the order taken, and the best candidate of all that were compared.
-        beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
-        response: what the records show without a model.
-        out_of_fold: what fits that did not see them leave of these records, by band; in the model's origin too.
-        residuals: whether what is left is white, and whether the drive still shows in it.
-        remarks: what the records leave open, a sentence each.
+        model: its `output` has the offset and direction of most records.
+        chosen, orders: the chosen order, and the best candidate of every compared order.
+        beginnings: per record its initial state, and its sensor's direction and offset with standard error.
+        response: the measured frequency response.
+        out_of_fold: errors of these records in fits without them, by band; also in the model's origin.
+        residuals: whether the residual is white and uncorrelated with the input.
+        remarks: open questions after these records, one sentence each.
         explains: whether any order explains a tenth of the output's rms on held-out blocks.
-        warning: a sentence where the model explains nothing or little, or the input follows from the output.
+        warning: a sentence if the model explains little, or the input follows from the output.
     """
 
     model: Fitted
@@ -104,7 +104,7 @@ class Identification(Shown):
 
             x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
 
-        Without the delay, which is no finite number of states (`chosen.delay`), and without the sensor's zero.
+        It excludes the delay, which has no finite number of states (`chosen.delay`), and the sensor offset.
         """
         c = self.chosen
         a = np.eye(c.order, k=1)
@@ -114,7 +114,7 @@ class Identification(Shown):
         return StateSpace(a, b, out, np.zeros((1, 1)))
 
     def to_control(self):
-        """Return the same as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
+        """Return the model as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
 
         Raises:
             BadInput: python-control is not installed.
@@ -142,21 +142,21 @@ def identify(
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
-        order: 1 to 6, or "auto": the fewest poles and delays that leave, on blocks left out, within 3 % of the least.
+        order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
         input_map: "square" (F = u^2) or "linear" (F = u).
-        hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh or zoh, or bandlimited where
-            it wins by 0.3 %.
-        learn: ("delay",) to keep a pure delay between drive and motion in any case; the model carries it as an effect.
-            One shorter than a twentieth of a sample is none.
-        leave_out: ("delay",) to do without; else a delay stays where it pays on blocks left out.
+        hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
+            is better by 0.3 %.
+        learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
+            Delays below a twentieth of a sample are ignored.
+        leave_out: ("delay",) to fit none; by default a delay stays if it improves the held-out error.
         progress: called with one line per finished order.
 
     Returns:
-        the model (a `Fitted`), every order compared, and how every record begins.
+        the model (a `Fitted`), every compared order, and the initial state of every record.
 
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.
-        ComputationFailed: the asked order cannot be identified from these records.
+        ComputationFailed: the requested order cannot be identified from these records.
 
     Examples:
         >>> found = pitp.identify(records, order=2)
@@ -213,7 +213,7 @@ def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """List the candidates of the orders, holds and delays that were asked for, in ascending order.
+    """List the candidates of the requested orders, holds and delays, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.
@@ -254,7 +254,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 def _determined(
     candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
 ) -> tuple[Candidate, OrderFit]:
-    """Return the best candidate whose poles all samples determine, and its description; otherwise the last tried."""
+    """Return the best candidate with known poles, refitted on all samples, and its description; or the last one."""
     while True:
         chosen = choose(candidates)
         # a delay or block means hide which hold it is
@@ -287,8 +287,8 @@ def _coloured(
 ) -> list[Beginning]:
     """Return initial states in which offsets measured at rest have the standard error that slow noise causes.
 
-    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth misfit does not have this
-    effect: at 30 samples a period the fifth difference leaves 2e-5 of it, 5e-3 of its third harmonic.
+    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
+    effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
     """
     apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
     found = []

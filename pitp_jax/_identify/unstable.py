@@ -24,7 +24,7 @@ _FRACTION = 0.5  # of the stable model's residual; free end values alone reduce 
 def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | None:
     """Return the unstable pole (rad/s) of a model that halves the residual `stable`, and its residual; otherwise None.
 
-    `stable`: rms that the stable model leaves, of the output's.
+    `stable`: residual of the stable model, as a fraction of the output's rms.
     """
     best = None
     for order in _ORDERS:

@@ -94,7 +94,7 @@ def on_smoothing(
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """Return a line each if more than a hundredth of the target cannot be played as wanted."""
+    """Return warnings if over 1 % of the target needs an impossible force, or is clipped by a limit."""
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (

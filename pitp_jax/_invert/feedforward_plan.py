@@ -40,17 +40,16 @@ class Feedforward(Shown):
     Attributes:
         time: s, shape (M,): the target's clock, with the ramps before and after it.
         voltage: V, within the limits.
-        infeasible: True where the target asks for a force that no voltage makes (F < 0, by eq. 13).
-        saturated: True where it asks for more than a voltage or slew limit allows.
+        infeasible: True where the target needs a force that no voltage produces (F < 0, by eq. 13).
+        saturated: True where it exceeds a voltage or slew limit.
         target: True on the target's own samples.
-        wanted: the target there, as it was given; nan before and after.
+        wanted: the given target there; nan before and after.
         outside_training_share: fraction of target samples outside the trained region.
-        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
-            the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
-            much that is missed.
-        equation_e_rms_percent: the same for eq. 13 cut at the limits, before shooting.
+        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the
+            inversion, not a prediction of tracking. nan for a constant target: `warnings` has its error.
+        equation_e_rms_percent: the same for eq. 13 clipped at the limits, before shooting.
         warnings: one line each.
-        limits: those that were in force, in words.
+        limits: the applied limits, in words.
     """
 
     time: np.ndarray
@@ -82,19 +81,19 @@ def feedforward(
 
     Args:
         model: identified or trained.
-        target: wanted displacement in base units; its clock is the session's, which a drift reads.
-        max_voltage: V; default the largest voltage of the training records. A higher one warns.
+        target: wanted displacement in base units; its clock is the session's, on which a drift depends.
+        max_voltage: V; default the largest voltage of the training records. A higher value causes a warning.
         max_slew: V/s; default the largest slew of the training records.
-        max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
+        max_displacement: m from the displacement at 0 V in both directions, to protect the membrane; default none.
         zero: where the target is 0: "rest", at 0 V, growing as the actuator extends (the coordinate of every model;
             behind a linear input it has the sensor's sign); "sensor", the sensor's own readings; or what the target
             is at 0 V, in its base unit.
-        start_input: V at the first and the last sample, that which holds a machine where it stands.
-        shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
-        resample: take a target that is coarser than the model along a cubic spline, on the model's step.
+        start_input: V at the first and the last sample, which holds the actuator in place.
+        shots: shooting iterations on the rollout after eq. 13; 0 uses eq. 13 alone, clipped at the limits.
+        resample: interpolate a target coarser than the model's step by a cubic spline.
 
     Returns:
-        the voltage on its own clock, with what was cut and how well the model itself follows it.
+        the voltage on its own clock, the clipped samples, and the model's own tracking error.
 
     Raises:
         BadInput: a limit that is not positive, a start beyond it, a target of fewer samples than the model's order
@@ -173,7 +172,7 @@ def feedforward(
 
 
 def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: its sign or its zero is wrong.
+    """Refuse a target whose negative is reachable: its sign or its offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.

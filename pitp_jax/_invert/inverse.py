@@ -34,7 +34,7 @@ def inverse(
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
     """Compute the voltage (V) with which the model follows a displacement (m) from rest; `jax.vmap` for more.
 
-    Limits, a way up to the target and a check stand in `feedforward`.
+    `feedforward` adds limits, a lead-in and a check.
 
     Args:
         model: any: identified, trained, with effects.
@@ -45,8 +45,8 @@ def inverse(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage makes the force: it is clipped
-        at F = 0 there.
+        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage produces the force: it is clipped at
+            F = 0 there.
 
     Raises:
         BadInput: another kind, fewer samples than the order needs, or "discrete" for a band-limited voltage.

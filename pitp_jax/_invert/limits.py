@@ -31,7 +31,7 @@ class Limits:
 
     @property
     def unnoticed(self) -> float:
-        """Return the voltage by which the first sample may differ, V: a hundredth of the range."""
+        """Return the tolerated difference of the first sample, V: a hundredth of the range."""
         return 0.01 * (self.high - self.low)
 
     @property
@@ -60,7 +60,7 @@ def limits_of(
     """Choose the given limits, or those of the training records; return them and warnings.
 
     Raises:
-        BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
+        BadInput: a limit that is not positive, an infinite voltage, or a start beyond it.
     """
     low, high = model.domain.voltage_range
     warnings: tuple[str, ...] = ()
@@ -100,7 +100,7 @@ def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarr
     """Clip to the voltage range, then to the slew rate, starting at the voltage of the ends.
 
     Returns:
-        The voltage kept, and True where it differs from the voltage asked for.
+        The limited voltage, and True where it differs from the requested one.
     """
     kept = np.clip(voltage, limits.low, limits.high)
     kept[0] = last = limits.ends

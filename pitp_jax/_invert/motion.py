@@ -73,7 +73,7 @@ def tokens_along(
     """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:
-        model: any; effects act beside the tokens.
+        model: any; effects are not part of the tokens.
         displacement: shape (time,), m, without missing values and without noise: it is differentiated.
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 

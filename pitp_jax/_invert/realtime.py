@@ -37,10 +37,10 @@ class CompiledStep:
     """A compiled step.
 
     Attributes:
-        carry: what the step starts from at rest, shape (C,), float32.
-        inputs: how many numbers it takes per sample.
-        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. Where an input is not finite
-            the output is nan, and the carry stays as it was.
+        carry: state at rest, shape (C,), float32.
+        inputs: number of inputs per sample.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. If an input is not finite,
+            the output is nan and the carry does not change.
         exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
@@ -130,7 +130,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
     """Restore the `run` of a `CompiledStep` from its bytes, compiled for this machine.
 
     Args:
-        exported: what `CompiledStep.exported.serialize()` gave.
+        exported: bytes from `CompiledStep.exported.serialize()`.
 
     Returns:
         fn(carry, input) -> (carry, output), compiled.
@@ -144,7 +144,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 def _compile(exported: export.Exported):
     """Compile through `jax.jit`, which dispatches twice as fast as a `Compiled` object, by calling it once.
 
-    Numbers of 64 bits are rounded on the way in: the caller may have enabled them or not.
+    64-bit inputs are rounded, because the caller may have enabled them.
     """
     run = jax.jit(lambda *given: exported.call(*(jnp.asarray(g, jnp.float32) for g in given)))
     carry, values = (np.zeros(a.shape, np.float32) for a in exported.in_avals)

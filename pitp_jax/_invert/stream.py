@@ -34,7 +34,7 @@ class Piece:
 
     Attributes:
         voltage: drive voltage before any limit, V, shape (samples,).
-        infeasible: True where the model asks for a force no voltage makes.
+        infeasible: True where the model needs a force that no voltage produces.
     """
 
     voltage: Float[np.ndarray, " samples"]
@@ -50,14 +50,14 @@ def invert_stream(
         model: identified or trained, without effects.
         blocks: wanted displacement from the position at 0 V, base unit.
         dt: sampling interval, s.
-        window: samples per pass, 16 at least; memory in use is proportional to it.
+        window: samples per pass, at least 16; memory use is proportional to it.
 
     Returns:
-        pieces of the answer, in order, as soon as they are known.
+        pieces of the result, in order, as soon as they are known.
 
     Raises:
-        BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
-            all blocks together are too short for its order.
+        BadInput: the model has effects, dt is not positive or the window too small; later, a sample is missing, or all
+            blocks together are too short for its order.
 
     Examples:
         >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)

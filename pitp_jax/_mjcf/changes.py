@@ -46,10 +46,10 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
 
     Args:
         joint: as it is in the file.
-        told: the table of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+        told: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
 
     Returns:
-        changes, the numbers that the file cannot hold, and the element to insert before the joint, or "".
+        changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
     rows = {p.name: p for p in told if _is_known(p)}
     f = joint.torque_per_command
@@ -124,7 +124,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the alternative interpretation of the same parameters."""
+    """Return the factor on the gain, and the alternative interpretation of the parameters."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""

@@ -57,7 +57,7 @@ def read_document(path: str | Path) -> Document:
     """Read a MuJoCo file and its includes.
 
     Raises:
-        BadInput: no such file, no XML, not a MuJoCo model, an include that is missing or holds itself.
+        BadInput: no such file, not XML, not a MuJoCo model, or an include that is missing or includes itself.
     """
     main = Path(path)
     texts: dict[Path, bytes] = {}

@@ -39,8 +39,8 @@ class Joint:
     Attributes:
         name, actuator: their names; the actuator's may be empty.
         numbers: of the joint and of the actuator in the compiled model.
-        joint_tag, actuator_tag: where they stand in the text.
-        hinge: whether it turns (angles in rad) and does not slide (m).
+        joint_tag, actuator_tag: their places in the text.
+        hinge: whether it rotates (angles in rad); otherwise it slides (m).
         position: whether the actuator is a position servo; otherwise a motor.
         kp, kv, gear: of the actuator.
         inertia: about the joint at the model's reference pose, kg m^2 or kg.
@@ -50,9 +50,9 @@ class Joint:
         delay, lag: of the actuator, s.
         timestep: of the simulation, s.
         degrees: whether the file gives angles in degrees.
-        autolimits: whether a range alone limits.
+        autolimits: whether a range alone sets a limit.
         anchor: of the joint in its body's frame, m.
-        gravity: the part that a turning arm feels, in the body's frame at q = 0, m/s^2; zero for a slide.
+        gravity: component that acts on a rotating arm, in the body's frame at q = 0, m/s^2; zero for a slide.
     """
 
     name: str
@@ -106,10 +106,11 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     Args:
         document: of the file.
         joint: its name.
-        actuator: of several on the joint, the one that was commanded.
+        actuator: the commanded one of several on the joint.
 
     Raises:
-        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, one of another kind.
+        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, or one of another
+            kind.
     """
     mujoco, file = mujoco_package(), cleaned(document.main)
     model = load_model(document.main)
@@ -152,7 +153,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
 
 
 def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
-    """Return the part of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
+    """Return the component of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joint]] = 0.0
     mujoco.mj_forward(model, data)

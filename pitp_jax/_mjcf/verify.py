@@ -28,7 +28,7 @@ class Played:
 
     Attributes:
         record: of the robot.
-        held_out: whether the diagnosis had not seen it.
+        held_out: whether the diagnosis did not use it.
         before, after: joint position in MuJoCo at its samples, base unit; `before` None without such a file.
     """
 
@@ -134,9 +134,9 @@ def verify_mjcf(
     Args:
         records: of the robot, angles in rad or positions in m, commands in the unit of ctrl.
         mjcf: the changed file.
-        joint, actuator: whose command and motion were recorded.
+        joint, actuator: with the recorded command and motion.
         before: the file as it was.
-        held_out: recordings that the diagnosis has not seen.
+        held_out: recordings that the diagnosis did not use.
 
     Returns:
         gaps in % of range.

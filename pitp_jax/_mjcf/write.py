@@ -40,8 +40,8 @@ class Written:
         file: the new file.
         joint, actuator: their names.
         changes: attributes with old and new value.
-        left: numbers that no attribute holds, with the nearest way.
-        remarks: what the user should know.
+        left: parameters that no attribute holds, with the nearest alternative.
+        remarks: remarks for the user.
     """
 
     file: Path
@@ -72,20 +72,20 @@ def write_mjcf(
 ) -> Written:
     """Write the parameters that the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
 
-    Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
-    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and
-    `timeconst` where the installed MuJoCo knows them. Each change has a comment with the old value, the new one and its
-    95 % interval.
+    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
+    `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
+    `delay` with `nsample` and `timeconst` if the installed MuJoCo knows them. Each change has a comment with the old
+    value, the new one and its 95 % interval.
 
     Args:
         found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
         mjcf: the file.
         joint: whose motion was recorded.
         out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
-        actuator: that was commanded, where several drive the joint.
+        actuator: the commanded one, if several act on the joint.
 
     Returns:
-        the changes, and what could not be written.
+        the changes, and the parameters that could not be written.
 
     Raises:
         BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
@@ -105,7 +105,7 @@ def write_numbers(
     """Write a table of parameters into a copy of a file.
 
     Args:
-        told: numbers of the simulator and the robot, in the command's unit.
+        told: parameters of the simulator and the robot, in the command's unit.
         records: of the robot.
         simulator: its coefficients a_i, shape (order + 1,).
         mjcf, joint, out, actuator: as for `write_mjcf`.
@@ -187,7 +187,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
     """Write every file, after MuJoCo has compiled them in a temporary folder, so that no invalid file remains.
 
     Raises:
-        BadInput: MuJoCo refuses what would be written.
+        BadInput: MuJoCo rejects the new file.
     """
     main = document.main
     target = out if out.suffix == ".xml" else out / identified_name(main)

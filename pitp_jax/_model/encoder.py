@@ -40,7 +40,7 @@ class AbstractEncoder(eqx.Module):
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
         """Return fn(features): logits, one row per token and one for the offset, for instants of any shape.
 
-        Constant parts are computed here once, and not at every step of a scan.
+        Constant parts are computed once here, not at every step of a scan.
         """
         return lambda features: vmapped(self, features)
 
@@ -99,9 +99,9 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Sequence[Rows]]:
-    """Build the same with all nets in one hidden matrix and one block-diagonal readout.
+    """Build all nets as one hidden matrix and one block-diagonal readout.
 
-    Zeros multiplied along cost less than starting three small products at every step of a scan.
+    Multiplying by zeros costs less than starting three small products at every step of a scan.
     """
     width = 1 + max(c for _, columns in nets for c in columns)
     (weights, inner), (readouts, outer) = (
@@ -125,20 +125,20 @@ class CompactEncoder(AbstractEncoder):
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
         sigma_off                  = past(x, m_fast)              + sum_k (a_k + b_k x + c_k x^2) m_k
 
-    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force
-    f(x, m) is sigma_0 x + sigma_off, so nothing is lost by keeping velocity and memory out of sigma_0 and sigma_n; what
-    is won is that neither can pump energy. The net sees the fast memories only: what it learns of the slow ones does
-    not hold beyond the training records (docs/decisions/training.md).
+    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force f(x,
+    m) is sigma_0 x + sigma_off, so sigma_0 and sigma_n need neither velocity nor memory. Without them neither token can
+    add energy. The net receives only the fast memories, because its dependence on slow ones does not hold beyond the
+    training records (docs/decisions/training.md).
 
-    Features are clipped to `bounds` first, so tokens stay where training put them: outside, the spring is linear.
+    Features are first clipped to `bounds`, so tokens stay in their trained range: outside, the spring is linear.
 
-    `frugal`: without nets that see memories, for few excitations, where such nets learn what was played.
+    `frugal`: without nets of memories, for few excitations, because such nets would memorise the inputs.
 
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
         all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
-    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
-    one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).
+    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without one
+    no token can express a remaining force at x = 0), `frugal`, bounds of shape (2, features).
     """
 
     spring: _Net
@@ -245,9 +245,9 @@ class AdaptedEncoder(AbstractEncoder):
         all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
         sigma_off times offset
 
-    A memory that has settled (m = x) is seen as it is, so what the actuator does in the long run is kept, and what it
-    does on the way there is scaled. `creep`: a factor for each of the last features, which are lags of x. `reach`: low,
-    middle, high. From order 3 on sections are not tilted one by one, and the second tilt is the offset's alone.
+    A settled memory (m = x) does not change, so the long-term behaviour is kept and the transient is scaled. `creep`: a
+    factor for each of the last features, which are lags of x. `reach`: low, middle, high. From order 3 on sections are
+    not changed one by one, and the second slope applies to the offset alone.
     """
 
     inner: AbstractEncoder

@@ -24,7 +24,7 @@ T = TypeVar("T")
 def full_precision(function: Callable[P, T]) -> Callable[P, T]:
     """Multiply float32 matrices in a function with full precision, whatever the user's default, also when traced.
 
-    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs: inverse voltages were wrong by 1e-3 of the largest.
+    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs, which gave voltage errors of 1e-3 of the largest.
     """
 
     @wraps(function)

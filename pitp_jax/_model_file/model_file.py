@@ -44,7 +44,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
         model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
-        BadInput: numbers that are not finite, a part this format has no name for (an effect), or an unwritable file.
+        BadInput: numbers that are not finite, a part that this format does not know (an effect), or an unwritable file.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -96,15 +96,15 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
 
     Args:
         path: a file that `save` wrote.
-        encoder: where the model has an encoder of your own, a module of the same class and sizes. Its arrays are
-            replaced by the stored ones; all else in it stays.
+        encoder: for a model with your own encoder, a module of the same class and sizes. Only its arrays are replaced
+            by the stored ones.
 
     Returns:
         a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
-        BadInput: missing, a folder, not a model file, from a newer version, damaged in any bit, or an encoder is
-            missing or does not fit.
+        BadInput: missing, a folder, not a model file, from a newer version, damaged, or an encoder is missing or does
+            not fit.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -182,7 +182,7 @@ def _check_version(path, line: bytes) -> None:
 def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
     """Build the model of a header with shapes in place of its leaves; nothing is allocated.
 
-    Constants (scales, domain, the sensor's offset) have their numbers in the header.
+    Constants (scales, domain, sensor offset) are in the header.
     """
     return eqx.filter_eval_shape(lambda: build(header, own))
 

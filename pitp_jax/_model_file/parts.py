@@ -39,7 +39,7 @@ class Part:
     """The storage of one kind of part: its class, the numbers that rebuild it, and its constructor.
 
     Attributes:
-        cls: the class; a part is stored under this name only where its type is exactly this.
+        cls: the class; a part is stored under this name only if its type is exactly this.
         describe: part to keyword arguments of `build`, JSON values only.
         build: keyword arguments to a part with the same leaves' shapes; called abstractly.
     """

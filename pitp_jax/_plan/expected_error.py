@@ -60,7 +60,7 @@ def motions(
 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """Compute the same for runs of similar length, padded to one length."""
+    """Compute `motions` for runs of similar length, padded to one length."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
@@ -108,10 +108,10 @@ class Knowledge:
     """The information in the records so far about a model.
 
     Attributes:
-        precision: of the trained numbers, per unit of s^2, shape (P, P).
+        precision: of the trained parameters, per unit of s^2, shape (P, P).
         unit: s^2 in %^2 s.
-        error: what the model leaves of its records, % of range.
-        floor: the range (m) of a motion whose noise alone is that error.
+        error: residual of the model on its own records, % of range.
+        floor: the range (m) of a motion for which noise alone gives that error.
     """
 
     precision: np.ndarray
@@ -124,7 +124,7 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     """Compute the information in a model's training records about it.
 
     Raises:
-        BadInput: a model without trained numbers, or one that diverges on every record.
+        BadInput: a model without trained parameters, or one that diverges on every record.
     """
     start, sizes = parameters(model)
     if not len(start):

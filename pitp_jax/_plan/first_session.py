@@ -47,7 +47,7 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
     """Plan all recordings of a first session, in the order of playing.
 
     Raises:
-        BadInput: a duration in which they do not fit.
+        BadInput: a duration that is too short for them.
     """
     part = {name: part * duration for name, part in _PARTS.items()}
     one, swept = part["growth"] / len(_GROWTH), part["sweep"]
@@ -99,7 +99,7 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
     """Plan inputs that fill frequency, lowest and highest voltage, the smallest first.
 
     Raises:
-        BadInput: a duration shorter than one drive.
+        BadInput: a duration shorter than one input.
     """
     count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
     if count < 1:
@@ -130,9 +130,9 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 def in_order(
     recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
 ) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and negate every second one if asked for.
+    """Number the recordings, add the strokes at which each may follow, and negate every second one if requested.
 
-    `recorded`: the largest stroke of the recordings that were taken before, m.
+    `recorded`: the largest stroke of the earlier recordings, m.
     """
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
     farther = _farther(recordings, limits, recorded) if bound else []

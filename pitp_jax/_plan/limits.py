@@ -24,14 +24,14 @@ class Limits:
     Attributes:
         low, high: voltage range in V, low <= 0 < high.
         slew: V/s.
-        farthest: displacement from 0 V either way in m, or infinity.
-        band: lowest and highest drive frequency in Hz.
+        farthest: largest displacement from 0 V in both directions, m, or infinity.
+        band: lowest and highest input frequency in Hz.
         rate: samples per second.
         rest: seconds at zero input after each recording.
         units: for messages, names and files; all numbers here are in base units.
 
     Raises:
-        BadInput: what cannot be met, all of it in one line.
+        BadInput: with all limits that cannot be met, in one line.
     """
 
     low: float

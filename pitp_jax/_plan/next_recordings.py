@@ -40,7 +40,7 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
     """Return the inputs whose stroke stays below the limit even with half the damping, and a note on the others.
 
     Raises:
-        BadInput: none does.
+        BadInput: none is allowed.
     """
     reached = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
     kept = [
@@ -64,7 +64,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     """Choose the candidates (over frequency, swing and bias) that lower the expected error most under such inputs.
 
     Raises:
-        BadInput: a length shorter than one recording, or no drive within the stroke allowed.
+        BadInput: a length shorter than one recording, or no input within the allowed stroke.
     """
     # of one length, so that the gains of candidates can be compared
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))

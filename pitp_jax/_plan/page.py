@@ -18,8 +18,8 @@ def page(plan: Plan, model: str = "") -> str:
     """Return the plan as a self-contained HTML page.
 
     Args:
-        plan: of `plan`.
-        model: file of the model it is for; empty for a first session.
+        plan: result of `plan`.
+        model: file of its model; empty for a first session.
     """
     title = headline(plan, bool(model))
     parts = [

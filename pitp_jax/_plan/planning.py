@@ -39,12 +39,12 @@ class Plan(Shown):
     """Recordings to take, and the error expected after them.
 
     Attributes:
-        recordings: to take, in this order; existing ones all, the best first.
-        limits: what they keep.
-        expected: error on drives not recorded yet, % of range, noise not counted: before, and after each recording;
-            empty without a trained model.
+        recordings: to take, in this order; if existing, all of them, the best first.
+        limits: their limits.
+        expected: error on inputs not recorded yet, % of range, without noise: before, and after each recording; empty
+            without a trained model.
         stop: whether no recording would lower the error visibly.
-        notes: what was left out, and why.
+        notes: what was left out, with reasons.
     """
 
     recordings: tuple[Planned, ...]
@@ -100,25 +100,25 @@ def plan(
 
     Args:
         model: identified or trained; None for a first session.
-        records: taken so far, those the model was trained on.
-        max_voltage: V; default what the model has seen.
-        max_slew: V/s; default what the model has seen, else the band's own at that voltage.
-        max_displacement: m from 0 V either way.
-        band: lowest and highest drive frequency in Hz; default 0.05 to 1.3 times the model's resonance.
-        duration: seconds of drive in all recordings together, rests not counted.
-        rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, without a
-            model by a damping of 0.05.
-        rate: samples per second; default the model's, else a hundred a period of the highest frequency.
-        choose_from: existing recordings to choose among instead; their output is not looked at.
+        records: taken so far, on which the model was trained.
+        max_voltage: V; default the largest of the training records.
+        max_slew: V/s; default the largest of the training records, otherwise that of the band at this voltage.
+        max_displacement: m from the position at 0 V in both directions.
+        band: lowest and highest input frequency in Hz; default 0.05 to 1.3 times the model's resonance.
+        duration: seconds of all recordings together, without rests.
+        rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, or,
+            without a model, for a damping of 0.05.
+        rate: samples per second; default the model's, otherwise a hundred per period of the highest frequency.
+        choose_from: existing recordings to choose from instead; their output is not used.
         alternate: play every second recording with negative voltage (a bipolar amplifier).
         seed: of the space-filling points.
-        units: in which files and texts name input and output; default the model's, V and m of a first session.
+        units: of input and output in files and texts; default the model's, otherwise V and m.
 
     Raises:
         BadInput: limits that are missing or cannot be met.
 
     Returns:
-        the recordings in the order of playing, each with its voltage and what it is for.
+        the recordings in the order of playing, each with its voltage and purpose.
 
     Examples:
         >>> session = pitp.plan(max_voltage=3000.0, band=(0.5, 5.0), duration=60.0)
@@ -155,7 +155,7 @@ def _stroke(record: Record) -> float:
 
 
 def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
-    """Number the recordings; negate every second voltage if asked for and the force stays the same."""
+    """Number the recordings; negate every second voltage if requested and the force stays the same."""
     # From 0 V up the input is squared; otherwise a negated voltage is a different input.
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits

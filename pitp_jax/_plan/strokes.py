@@ -69,12 +69,12 @@ def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: flo
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Return by how much each input may exceed all strokes before it at worst (damping 0.01), shape (voltages,).
+    """Return the largest possible ratio of each input's stroke to all before it (damping 0.01), shape (voltages,).
 
     Args:
         voltages: V, in the order of playing.
         dt: sampling interval, s.
-        band: where the resonance may be, Hz; one a half above it is tried as well.
+        band: possible range of the resonance, Hz; resonances up to 50 % above it are also tried.
     """
     forces = [u * u for u in voltages]
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)

@@ -75,7 +75,7 @@ def plant(name: str) -> Plant:
         its parameters.
 
     Raises:
-        ValueError: no such plant; the message lists those there are.
+        ValueError: no such plant; the message lists all plants.
 
     Examples:
         >>> pitp.plant("roll").rate_hz
@@ -92,7 +92,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     Args:
         plant: the virtual actuator.
         time: uniform sample times in s, shape (T,).
-        voltage: drive voltage in V, shape (..., T); records of one length share one integration.
+        voltage: input voltage in V, shape (..., T); records of one length share one integration.
         hold: the voltage between samples: "foh" linear, "zoh" held from each sample to the next.
         method: "fixed" Runge-Kutta steps between samples, or "adaptive" (Dopri8, slower, the reference).
 

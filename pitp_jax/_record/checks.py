@@ -37,13 +37,13 @@ def check_samples(
 
     Args:
         time: sample times in s, shape (T,).
-        voltage: drive in V, shape (T,).
+        voltage: input in V, shape (T,).
         displacement: output in m or V, shape (T,); nan where missing.
         source: file or record, for the message.
         columns: names of the three columns, for the message.
-        place: turns a sample index (from 0) into words, for the message (`sample 7 (line 9)`).
+        place: converts a sample index (from 0) to words, for the message (`sample 7 (line 9)`).
         uniform: whether the times must be uniform already.
-        least: how many samples are needed.
+        least: required number of samples.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, infinite values, missing input or time, no output at
@@ -203,8 +203,8 @@ def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
 def _grid_offset(time: np.ndarray) -> np.ndarray:
     """Return the distance of every time from the best uniform grid, in samples, shape (T,).
 
-    The grid is fitted by least squares; where that is not within the tolerance but near it, by the smallest
-    largest distance, so that jitter of up to 1 % about any uniform grid passes.
+    The grid is fitted by least squares. If that slightly exceeds the tolerance, the largest distance is minimised, so
+    that jitter of up to 1 % about any uniform grid passes.
     """
     index = np.arange(len(time))
     start, dt = line(index, time)

@@ -32,7 +32,7 @@ class Excitation:
     """A voltage over time that can be played.
 
     Attributes:
-        name: what a record of it would be called.
+        name: for its record.
         time: sample times in s from 0, shape (T,).
         voltage: in V, shape (T,).
     """

@@ -54,14 +54,14 @@ class Gridded:
     """A record on its grid.
 
     Attributes:
-        pieces: in order, one where no gap is too long.
+        pieces: in order; one piece if no gap is too long.
         jitter: largest distance of a time from the grid, in samples; 0 after resampling.
-        rows: what was read.
+        rows: the rows as read.
         dropped: samples of pieces too short to use, or without any output.
-        packets: whether the stamps are those of arrival.
+        packets: whether the stamps are arrival times.
         steps: shortest and longest step in s of a clock that was resampled, or None.
         uneven: whether that clock was uneven.
-        bridged: output samples masked since they would be interpolated across more than a few rows.
+        bridged: output samples masked because they would be interpolated across more than a few rows.
     """
 
     pieces: tuple[Piece, ...]
@@ -96,7 +96,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
-        rate: samples per second of the grid, where the user states it.
+        rate: samples per second of the grid, if the user states it.
 
     Raises:
         BadInput: time repeats or contradicts the signals, or too few rows remain.
@@ -150,7 +150,7 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
 def _grid(rows: Rows) -> _Line | None:
     """Return the places on the grid of an even clock, or None.
 
-    Lost samples must explain the times better than no losses, because one wrong time would shift all that follow.
+    Lost samples must explain the times better than no losses, because one wrong time would shift all later ones.
     """
     time = rows.time
     steps = np.diff(time)
@@ -183,7 +183,7 @@ def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
 def _packets(rows: Rows) -> _Line | None:
     """Return the places of rows that were sampled evenly and stamped when their packet came, or None.
 
-    The signals decide between even rows and true stamps. If they do not, crowded stamps are those of packets.
+    The signals decide between even rows and true stamps. If they cannot, crowded stamps count as packets.
     """
     time = rows.time
     steps, mean = np.diff(time), np.ptp(time) / (len(time) - 1)
@@ -204,7 +204,7 @@ def _packets(rows: Rows) -> _Line | None:
 
 
 def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
-    """Return the rows on the grid that was found."""
+    """Return the rows placed on this grid."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
     lost, jitter = np.diff(index) - 1, float(found.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
@@ -226,7 +226,7 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
         dt: step of the grid in s: a stretch needs 64 rows and 64 such steps.
 
     Raises:
-        BadInput: less than half of the rows are in one.
+        BadInput: the stretches contain less than half of the rows.
     """
     count, kept = len(rows.time), []
     least = min(MIN_SAMPLES, count)  # a voltage to be played may have fewer rows

@@ -37,12 +37,12 @@ class Masked:
         displacement: nan where masked, shape (T,).
         outliers: samples masked as spikes or dropouts.
         clipped: samples masked at a limit value.
-        largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
-        limit: the value it was clipped at, or that `unseen` samples have; nan where there is none.
-        unseen: samples off scale that are kept, since they are more than half.
-        held: samples that repeat one value while the drive moves and then jump, of a sensor that repeats values
-            elsewhere, or that keep it for long: they stay, since it may be stiction.
-        turns: whole turns that were removed from the input and from the output before.
+        largest: the most distant outlier, in the output's unit; nan without one.
+        limit: the value at which it was clipped, or that of `unseen` samples; nan without one.
+        unseen: off-scale samples that are kept, because they are more than half.
+        held: samples that repeat one value while the input moves and then jump. They are kept, because they may be
+            stiction.
+        turns: whole turns removed earlier from the input and the output.
     """
 
     displacement: np.ndarray
@@ -60,7 +60,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 
     Args:
         displacement: output, shape (T,); nan where missing.
-        voltage: drive, shape (T,).
+        voltage: input, shape (T,).
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     y = displacement[seen]
@@ -95,7 +95,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
     """Return the samples at a value at which other records of the same sensor are clipped, and that value (or nan).
 
-    A sensor has one limit, so a limit found in one record holds for records whose own runs would not prove it.
+    A sensor has one limit, so a limit found in one record applies to records that cannot show it alone.
 
     Args:
         displacement: output, shape (T,); nan where missing.
@@ -179,8 +179,8 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     """Return runs of one value under a moving input: dropouts, and runs that may be stiction.
 
     A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
-    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction; so
-    may all runs that together are more than a tenth of the record: a gear stands still at every reversal.
+    everywhere else, at rest too. For any other sensor a held value followed by a jump may be stiction. Runs that
+    together exceed a tenth of the record may also be stiction, because a gear stands still at every reversal.
 
     Returns:
         dropouts, possible stiction: True at their samples, shape (T,).
@@ -224,7 +224,7 @@ def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them.
 
     p is how often neighbours are equal away from these runs (a record at its limit for most of the time has a median
-    step of zero); a run of n has a chance of p^(n - 1), and counts where that is below 1e-6 in the record.
+    step of zero); a run of n has the probability p^(n - 1), and counts if that is below 1e-6 in the record.
     """
     bad = np.zeros(len(y), dtype=bool)
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)

@@ -30,7 +30,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
         place: turns a sample index into words.
 
     Raises:
-        BadInput: with both columns where both are.
+        BadInput: with the columns concerned.
     """
     problems = []
     for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):

@@ -60,14 +60,14 @@ class Record(Timed):
     """One excitation of one actuator, in base units.
 
     Attributes:
-        name: the file name less its known suffix, or any label unique in the set.
+        name: the file name without its known suffix, or any label unique in the set.
         time: sample times in s, shape (T,), uniform to 1 % of a sample; the session clock.
-        voltage: drive voltage in V, shape (T,); no missing samples.
+        voltage: input voltage in V, shape (T,); no missing samples.
         displacement: output in `m` (or `V` for electronic benchmarks), shape (T,); nan where missing.
         voltage_unit: unit the voltage had in its file; used when results are written back.
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
-        recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
+        recognised: properties and corrections of the file as read: `file`, `time`, `input`, `output` in words, counts
             `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user (`findings` as values).
 
     Raises:

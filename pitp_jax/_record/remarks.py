@@ -38,9 +38,9 @@ class Remark:
     """One finding on one record.
 
     Attributes:
-        kind: one of those above, or "note", of which `detail` is all.
+        kind: one of those above, or "note", which is `detail` alone.
         record: its name.
-        value: how many, or how much.
+        value: a number or an amount.
         detail: an example, for the sentence on this record alone.
     """
 

@@ -17,7 +17,7 @@ def check_records(records: object, *, empty: bool = False) -> None:
     """Refuse anything but a list of records; `empty`: whether an empty list is accepted.
 
     Raises:
-        BadInput: saying what was given, and what to give.
+        BadInput: naming the given and the accepted types.
     """
     if isinstance(records, Record):
         raise BadInput(f"{_place(records)}: give a list of records, even for a single one")
@@ -78,7 +78,7 @@ def session_clock(records: Sequence[Record]) -> bool:
 def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
     """Return groups of indices of records to be padded to one length: one group unless padding doubles them.
 
-    One long record among short ones would make all of them as long. In a group none is shorter than half the longest.
+    One long record would lengthen all short ones in its group. In a group none is shorter than half the longest.
     """
     lengths = [length(r) for r in records]
     if max(lengths) * len(lengths) <= 2 * sum(lengths):

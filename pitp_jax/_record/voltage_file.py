@@ -23,7 +23,7 @@ class Drive(Timed):
     """A voltage without a measurement.
 
     Attributes:
-        name: the file name less its known suffix.
+        name: the file name without its known suffix.
         time, voltage: in s and the base unit, uniform, shape (T,).
         voltage_unit: unit it had in its file.
         source: the file.
@@ -50,10 +50,10 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
         **said: `time_column`, `input_column`, units, `input_scale`, `rate` and the others as for `read`.
 
     Returns:
-        the drives, in the order given.
+        the voltages, in the order given.
 
     Raises:
-        BadInput: one line with all files that are refused.
+        BadInput: one line with all refused files.
 
     Examples:
         >>> drive = pitp.read_voltage(folder / "drive.csv")[0]

@@ -25,7 +25,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     """Return where each of `bins` equal parts of a signal is smallest and largest.
 
     Args:
-        values: signal, shape (T,); nan where missing, and passed over.
+        values: signal, shape (T,); nan where missing, which is ignored.
         bins: number of stretches, fewer where T is smaller.
 
     Returns:
@@ -36,7 +36,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same as `extremes` over parts widened to whole oscillations, so that only the envelope remains.
+    """Return the indices of `extremes` over parts widened to whole oscillations, which draw only the envelope.
 
     A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
     neighbours is a ripple within an oscillation.
@@ -155,7 +155,7 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
     """Add labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
 
-    Axes under each other share `across`: the lowest alone numbers it.
+    Stacked axes share `across`: only the lowest shows its numbers.
     """
     for ax, label in zip(axes, upward, strict=True):
         ax.set_ylabel(label, fontsize=_SMALL + 1)

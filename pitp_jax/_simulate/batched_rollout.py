@@ -63,7 +63,7 @@ def rows_rollout(
 ) -> Float[Array, "records time state"]:
     """Roll out from film voltages; coefficients and an adapted encoder's factors may differ between records.
 
-    They then have a last axis for the records.
+    The tables then have a last axis for the records.
     """
     # records last, because a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)

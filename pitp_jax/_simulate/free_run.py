@@ -27,7 +27,7 @@ def free_run(
     Args:
         model: any: identified, trained, with effects.
         voltage: shape (time,), V.
-        state: where it starts, scaled, as `rest_state` gives it; None starts at rest at 0 V.
+        state: initial state, scaled, as returned by `rest_state`; None starts at rest at 0 V.
 
     Returns:
         displacement, shape (time,), m (SI unit of the model's recordings): 0 at 0 V, growing as the actuator extends

@@ -81,15 +81,16 @@ class Prediction(Shown):
 
     Attributes:
         name: of the record.
-        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,);
-            nan from the sample where the rollout left every range.
-        diverged: whether it did.
+        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,); nan from
+            the sample where the rollout diverged.
+        diverged: whether the rollout diverged.
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
-        scored: samples that count, shape (T,): all but those the initial state was estimated from.
+        scored: samples that count, shape (T,): all except those used to estimate the initial state.
         outside_training_share: fraction of samples whose state lies outside the trained region.
-        outside_training: in which coordinates, by how much and when, in words; empty where none does.
+        outside_training: in which coordinates, by how much and when, in words; empty if inside.
         begins: "rest", "held" or "moving".
-        zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
+        zero, zero_stderr, direction: the record's own sensor offset and direction: measured = direction * x + zero (m
+            or V).
     """
 
     name: str
@@ -209,7 +210,7 @@ def initial_samples(model: Model, record: Record) -> int:
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
     """Estimate the state of a moving start from its first samples.
 
-    After a gap at the beginning these are behind it: the rollout reaches them from the start.
+    After an initial gap these samples follow the gap; the rollout starts before it.
     """
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]

@@ -42,7 +42,7 @@ class Choice:
         place: among the table's columns; None for a time that --rate or the channels' own clock makes.
         name: its header.
         unit: of its values.
-        note: what else the summary should say of it, or empty.
+        note: further remark for the summary, or empty.
         clock: (first time, step) of the channels' own clock.
     """
 
@@ -99,14 +99,14 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
 
     Args:
         table: the opened file.
-        options: what the caller says about them.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Returns:
         a choice per quantity.
 
     Raises:
-        Refused: with all that is missing, the columns here and the command to try.
+        Refused: with everything that is missing, the columns of the file and the command to try.
     """
     seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
     chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
@@ -251,8 +251,8 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     """Return the clocks that remain after the rules on values, names and units, in this order of importance.
 
-    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one that certainly counts
-    seconds is taken, or the one with the smallest values, which loses the fewest digits.
+    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one in seconds is taken,
+    otherwise the one with the smallest values, which loses the fewest digits.
     """
     if len(clocks) < 2:
         return clocks
@@ -442,7 +442,7 @@ def _once(words: Sequence[str]) -> list[str]:
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
-    """Return a column as an option names it: by its number if other columns share its name."""
+    """Return a column's name for an option: its number if other columns share its name."""
     names = [s.column.name for s in seen]
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 

@@ -29,12 +29,12 @@ class Loaded:
     """Columns of one part of a file, in base units.
 
     Attributes:
-        table: where they come from.
+        table: their source.
         chosen: a choice per quantity.
         values: per quantity, shape (T,) each.
-        options: what was said, by the caller and in the folder.
+        options: of the caller and the folder.
         label: of this part of the file, or empty.
-        rows: which rows of the table they are, or None for all.
+        rows: their rows in the table, or None for all.
     """
 
     table: Table
@@ -66,11 +66,11 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
 
     Args:
         path: the file.
-        options: what the caller says.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Raises:
-        BadInput: nothing readable, or something must be asked.
+        BadInput: nothing readable, or the user must decide.
     """
     said = with_folder(options, path)
     parts = joined_parts(path, said)
@@ -107,7 +107,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
     """Return the reading on which all readable tables agree.
 
     Raises:
-        BadInput: none can, or two differ.
+        BadInput: none can be read, or two differ.
     """
     good, refusals = [], []
     for table in tables:

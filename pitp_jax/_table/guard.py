@@ -116,7 +116,7 @@ def gunzip(data: bytes, source: str) -> bytes:
     """Decompress gzip data piece by piece.
 
     Raises:
-        BadInput: damaged, truncated, or unfolding to too much.
+        BadInput: damaged, truncated, or too large when unpacked.
     """
     pieces, total = [], 0
     try:
@@ -138,11 +138,11 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
     Args:
         data: the compressed bytes.
         source: the file, for messages.
-        size: of the whole file, which the limit is counted from.
-        begun: bytes of this file unfolded before.
+        size: of the whole file, which determines the limit.
+        begun: bytes of this file already unpacked.
 
     Raises:
-        BadInput: unfolding to too much.
+        BadInput: too large when unpacked.
         zlib.error: damaged or truncated.
     """
     engine, pieces, total = zlib.decompressobj(), [], begun

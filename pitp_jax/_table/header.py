@@ -69,8 +69,8 @@ class Layout:
         columns: names and units.
         first: index of the first row of numbers among the rows given.
         width: cells of a row of numbers.
-        notes: what else was recognised, in words.
-        hint: of the rate, or empty.
+        notes: further recognised properties, in words.
+        hint: about the rate, or empty.
     """
 
     separator: str
@@ -97,7 +97,7 @@ def layouts(
         separator: passed on.
         decimal: `.` or `,`.
         source: the file, for messages.
-        header_line: the line that names the columns, if the user says it.
+        header_line: the line that names the columns, if the user gives it.
         units_line: the line of units, or "none".
 
     Raises:
@@ -258,7 +258,7 @@ def _is_units(row: Sequence[str]) -> bool:
 
 
 def _of_unit(cell: str) -> str:
-    """Return a cell of a units row without its key: `Unit: kV`."""
+    """Return a cell of a units row without its key, for example `kV` of `Unit: kV`."""
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 

@@ -140,7 +140,7 @@ def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Co
 
     Args:
         tables: to be joined.
-        dropped: the place of a clock that is left out, by table.
+        dropped: the place of an omitted clock, by table.
     """
     twice = Counter(column.name for table in tables for column in table.columns)
     columns: list[Column] = []
@@ -162,9 +162,9 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
     """Return the refusal of files that together hold a record, with the command that joins them, or None.
 
     Args:
-        files: of one call, none of which can be read.
-        options: what the caller says.
-        quantities: that are sought.
+        files: unreadable files of one call.
+        options: the caller's options.
+        quantities: the wanted ones.
     """
     folder = files[0].parent
     if options.join is not None or any(file.parent != folder or file.is_dir() for file in files):

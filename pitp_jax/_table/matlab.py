@@ -19,7 +19,7 @@ def flat(data: bytes, source: str) -> io.BytesIO:
         source: its name, for messages.
 
     Raises:
-        BadInput: truncated, damaged, nested too deeply or unfolding to too much.
+        BadInput: truncated, damaged, nested too deeply, or too large when unpacked.
     """
     # the mark MI in the byte order of the writer's machine
     order = "<" if data[126:128] == b"IM" else ">"

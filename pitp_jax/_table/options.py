@@ -35,17 +35,17 @@ class ReadOptions:
 
     Attributes:
         time_column, input_column, output_column: exact headers, or numbers of columns from 1.
-        time_unit, input_unit, output_unit: units of these columns, over what the file says.
+        time_unit, input_unit, output_unit: units of these columns, instead of the file's.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        rate: samples per second of files without time, and of any clock.
+        rate: samples per second of files without time, or instead of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
         separator, decimal, encoding: of text.
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
         from_s, to_s: the range of time of every recording, in s after its first row.
-        join: files with the other columns of the same rows, where time, input and output stand in separate files.
+        join: files with the other columns of the same rows, if time, input and output are in separate files.
         joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
@@ -169,7 +169,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
     """Return the options with those of `pitp.toml` beside the file; options of the caller take precedence.
 
     Raises:
-        BadInput: the file is not TOML, holds keys that are not options, or names joints and the caller names none.
+        BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
     """
     said = _of_file(path)
     source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))

@@ -96,7 +96,7 @@ def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
     """Return the layout with a decimal comma if only rows below the head have one.
 
     Raises:
-        Refused: every comma may stand between thousands.
+        Refused: every comma may separate thousands.
     """
     if layout.separator == "," or b"," not in body:
         return layout
@@ -182,7 +182,7 @@ def _unbroken(data: bytes) -> bytes:
             close = data.find(b'"\n', end)
             row = data[begin : close + 1]
             if not 0 < close - begin < _LONGEST or row.count(b"\n") > _BROKEN or row.count(b'"') % 2:
-                break  # a lone quote is an inch
+                break  # a single quote is an inch
             data = data[:begin] + row.replace(b"\n", b" ") + b"\n" * row.count(b"\n") + data[close + 1 :]
             end = begin + len(row)
         begin = end + 1
@@ -312,7 +312,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
     """Return the separator and decimal mark for which most cells in rows of numbers are numbers.
 
     Raises:
-        BadInput: none makes a table.
+        BadInput: none gives a table.
     """
     best, dialect = 0.0, None
     for separator in (options.separator,) if options.separator else _SEPARATORS:
@@ -448,7 +448,7 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place:
     """Return the cells of column k as numbers; dates and hours as seconds.
 
     Raises:
-        BadInput: with the first cell that is none.
+        BadInput: with the first cell that is not a number.
     """
     column = layout.columns[k]
     if column.form == "stamp":

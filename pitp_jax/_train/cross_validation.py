@@ -24,7 +24,7 @@ _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warni
 class HeldOut:
     """Errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
 
-    `problem`: why there is no model of the others; then `predicted` is infinite.
+    `problem`: why training on the other records failed; then `predicted` is infinite.
     """
 
     name: str
@@ -50,7 +50,7 @@ def cross_validate(
     """Train once without every record that moves, and predict it.
 
     Args:
-        nominal: to start from, or a function that identifies one on the records that it is given.
+        nominal: the initial model, or a function that identifies one on given records.
         records: the training records.
         model: trained on all of them, for the fitted errors.
         key, options: as for `train`.

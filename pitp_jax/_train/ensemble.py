@@ -48,7 +48,7 @@ class Ensemble(Shown):
         models: K models, each usable alone.
         error: rms error of the mean on the training records, over the range of each.
         errors: quantiles of |error| / range on those records, at evenly spaced levels from 0 to 1. Empty: `error` times
-            Student's quantile of K - 1 stands for them.
+            Student's quantile of K - 1 is used.
         records: number R of those records.
 
     Raises:
@@ -94,8 +94,8 @@ class Band(Shown):
     Attributes:
         name: of the record.
         displacement, half_width: mean and half the band, rig coordinates (m or V), shape (T,); nan from the sample
-            where a member left every range.
-        diverged: whether one did.
+            where a member diverged.
+        diverged: whether a member diverged.
         scored: samples that count, shape (T,), as for `Prediction`.
     """
 
@@ -116,7 +116,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
         **options: as for `train`.
 
     Returns:
-        models, and the error that their spread does not show.
+        models, and the error not shown by their spread.
 
     Raises:
         ValueError: fewer than 2 members.
@@ -142,13 +142,13 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     Args:
         ensemble: of `train_ensemble`.
         records: of one sampling rate.
-        level: share of samples the band should cover.
+        level: fraction of samples that the band should cover.
 
     Returns:
         mean and half width per record.
 
     Raises:
-        ValueError: a level that is no share between 0 and 1.
+        ValueError: a level outside 0 to 1.
 
     Examples:
         >>> pitp.predict_band(pitp.Ensemble((model, model), error=0.01), records)[0].half_width.shape

@@ -48,7 +48,7 @@ def residual(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        residual, shape (time,): the force that the motion needs minus that of the voltage.
+        residual, shape (time,): the force that the motion requires minus that of the voltage.
 
     Examples:
         >>> u = 500.0 * (1 - jnp.cos(jnp.linspace(0.0, 12.0, 400)))
@@ -76,7 +76,7 @@ def residual_loss(
 
     Args:
         model, voltage, displacement, cutoff_hz, zero: as of `residual`.
-        box: lowest and highest factor on the nominal tokens that costs nothing; default none does.
+        box: lowest and highest factor on the nominal tokens without a penalty; default no penalty.
         width: of Huber's quadratic part, in units of the model's force.
         penalty: alpha and beta, the costs of a unit above and below the box.
 

@@ -106,7 +106,7 @@ def _rows(states: Sequence[StateRecord]) -> _Rows:
 
 
 def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
-    """Compute all phi, weighted, each of length one."""
+    """Compute all weighted columns phi, each normalised to length one."""
     dt = seen.states[0].dt
     motion = seen.read(lambda s: s.states)
     motion = motion / np.sqrt(np.mean(motion**2, 0))

@@ -14,7 +14,7 @@ from .which import fraction_closed, which
 NEXT_CSV = "next_experiment.csv"
 
 
-_HELPS = 0.1  # of the gap: less is called nothing
+_HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
@@ -167,5 +167,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Return the cards where, which and how far, as HTML."""
+    """Return the cards "where", "which" and "how far" as HTML."""
     return _where(d), which(d), _how_far(d)

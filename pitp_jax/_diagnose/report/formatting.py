@@ -152,7 +152,7 @@ def drive_unit(unit: str) -> tuple[float, str]:
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
-    """Return the shortest run of neighbours that holds most, the fullest of several."""
+    """Return the shortest run of neighbouring bins that holds most of the gap; of several, the one with the most."""
     runs = [
         (last - first, -sum(shares[first:last]), first, last)
         for first in range(len(shares))

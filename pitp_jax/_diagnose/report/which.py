@@ -86,7 +86,7 @@ def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
 
 
 def _shift(d: Diagnosis) -> list[str]:
-    """Return every coefficient over the given one, with its standard error if the ranking has it."""
+    """Return refitted over given coefficients, with standard errors if the ranking has them."""
     row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):

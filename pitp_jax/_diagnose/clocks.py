@@ -1,0 +1,40 @@
+"""Remove a time shift between the columns of records, a fault of their clocks and not of the machine.
+
+    y(t) = x(t + T)    ->    x(t) = y(t - T)
+
+A late output is a delay, which a machine can have. An early one answers an input that has not come yet.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from .._record.record import Record
+from .._report.numbers import number
+
+
+def put_back(records: Sequence[Record], early: float) -> tuple[Record, ...]:
+    """Return the records with the output delayed by so many seconds, without the first samples that lack one."""
+    return tuple(_later(r, early) for r in records)
+
+
+def _later(record: Record, early: float) -> Record:
+    first = min(int(np.ceil(early / record.dt - 1e-6)), record.samples - 2)
+    time, seen = record.time[first:], np.isfinite(record.displacement)
+    at = time - early
+    output = CubicSpline(record.time[seen], record.displacement[seen])(at)
+    # missing where the nearest sample is
+    nearest = np.clip(np.round((at - record.time[0]) / record.dt).astype(int), 0, record.samples - 1)
+    output = np.where(seen[nearest], output, np.nan)
+    return replace(record, time=time, voltage=record.voltage[first:], displacement=output)
+
+
+def remark(early: float, dt: float) -> str:
+    """Report the shift, and what to check."""
+    return (
+        f"clock_shift: the output column is {number(1e3 * early, 3)} ms ({number(early / dt, 2)} samples) early beside "
+        "the input column: it answers before the input changes. This is a fault of the recordings, not an effect; it "
+        "was taken out of them before the diagnosis. Check the clocks and filters of both channels."
+    )
