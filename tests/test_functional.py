@@ -12,6 +12,7 @@ import optax
 import pytest
 from jax.sharding import PartitionSpec
 from scipy.signal import lsim
+from typed import untyped
 
 import pitp_jax as pitp
 from pitp_jax import excitation
@@ -195,9 +196,9 @@ WRONG = {
     "free_run": ("voltage is a Record, not an array of numbers", lambda m, r: pitp.free_run(m, r)),
     "free_run of two": (
         r"voltage has shape \(2, 600\): give one recording",
-        lambda m, r: pitp.free_run(m, [TIME, TIME]),
+        lambda m, r: pitp.free_run(m, untyped([TIME, TIME])),
     ),
-    "inverse": ("displacement is a str, not an array", lambda m, r: pitp.inverse(m, "left")),
+    "inverse": ("displacement is a str, not an array", lambda m, r: pitp.inverse(m, untyped("left"))),
     "memory_along": ("displacement is a Record", pitp.memory_along),
     "tokens_along": ("displacement is a Record", pitp.tokens_along),
     "residual": ("voltage is a Record", lambda m, r: pitp.residual(m, r, TIME)),
