@@ -285,7 +285,7 @@ _SAID = (  # option, placeholder, type, help
     ("output-column", "NAME", str, "output column: its exact header or its number"),
     ("time-unit", "UNIT", str, "unit of the time, overrides the file: s|ms|us|ns|min|h|d"),
     ("input-unit", "UNIT", str, f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"),
-    ("output-unit", "UNIT", str, "unit of the output, overrides the file: as for the input"),
+    ("output-unit", "UNIT", str, f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"),
     ("input-scale", "S", _number, "factor from the input column to V (a monitor of 1 V per kV: 1000)"),
     ("output-scale", "S", _number, "factor from the output column to m (a laser of 2 mm per V: 0.002)"),
     ("rate", "HZ", _positive, "samples per second: for files without a time column; overrides any other clock"),

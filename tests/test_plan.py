@@ -14,11 +14,14 @@ from scipy.signal import cont2discrete, lfilter
 import pitp_jax as pitp
 from pitp_jax import rest_state
 from pitp_jax._commands.plan import _sorted
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
 from pitp_jax._plan import scaled_to_limits, strokes
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
 from pitp_jax._plan.next_recordings import greedy
 from pitp_jax._plan.page import page
+from pitp_jax._record.excited import tabulate
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rollout
 from pitp_jax._train.parameters import parameters, with_parameters
@@ -255,6 +258,14 @@ def test_an_identified_model_gets_a_space_filling_set(actuator):
     assert len(found.recordings) == 8 and not found.expected
     assert all(r.kind == "sine" and np.isfinite(r.stroke) for r in found.recordings)
     keeps(found, 2000.0, 5e4)
+    # what the model was not trained with comes first, within the same time
+    slow = tabulate([1000 * np.sin(2 * np.pi * 0.7 * 1e-3 * np.arange(20_000))], 1e-3)
+    again = pitp.plan(Fitted(actuator, Origin(excited_input=slow)), band=(0.5, 5.0), duration=40.0)
+    first = again.recordings[0]
+    assert "not trained" in first.purpose and again.seconds <= 40.0 + 1e-6
+    power = np.abs(np.fft.rfft(first.voltage - first.voltage.mean())) ** 2
+    hz = np.fft.rfftfreq(len(first.voltage), first.time[1] - first.time[0])
+    assert power[(hz > 0.75) & (hz < 5.5)].sum() > 0.8 * power.sum()
 
 
 # the command --------------------------------------------------------------------------------------------------------

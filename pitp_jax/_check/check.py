@@ -220,7 +220,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         begun, e_rms = beside.beginning, beside.e_rms_percent
         direction, colour = int(begun.direction), beside.colour
         noise = beside.coloured if beside.coloured is not None else noise
-        problems += [beside.problem] if beside.problem else []
+        problems += [text for text in (beside.problem, beside.not_excited) if text]
     shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
     # an infinite standard error means that the offset was not measured
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]

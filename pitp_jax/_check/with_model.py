@@ -23,13 +23,17 @@ _TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
 
 @dataclass(frozen=True)
 class Explained:
-    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem."""
+    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem.
+
+    `not_excited`: the sentence on what the model was not trained with.
+    """
 
     beginning: Beginning
     e_rms_percent: float | None
     coloured: float | None
     colour: str | None
     problem: str
+    not_excited: str
 
 
 def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
@@ -56,5 +60,6 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
         coloured = coloured_noise(residual, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
         begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
         colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
-        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
+        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem,
+                                     p.not_excited)  # fmt: skip
     return explained

@@ -88,7 +88,8 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     moved = [p.name for p in predictions if p.begins != "rest"]
     farthest = max(predictions, key=lambda p: p.outside_training_share)
     where = f", most in {farthest.name}: {farthest.outside_training}" if farthest.outside_training else ""
-    lines = [f"{figure(outside, 2)} % of the samples lie outside the trained region{where}."]
+    lines = [f"{figure(outside, 2)} % lie outside the trained region{where}."]
+    lines += [f"{p.name}: {p.not_excited}" for p in predictions if p.not_excited][:3]
     lines += [f"{len(moved)} of {len(predictions)} do not start at rest."] if moved else []
     lost = sum(p.diverged for p in predictions)
     nrmse = [row["nrmse_percent"] for row in scores.values() if row["nrmse_percent"] is not None]

@@ -152,6 +152,8 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     for p in predictions:
         if p.outside_training:
             print(f"{p.name}: outside the trained region: {p.outside_training}")
+        if p.not_excited:
+            print(f"{p.name}: {p.not_excited}")
         if p.estimated_start:
             used = int((~p.scored).sum())
             print(

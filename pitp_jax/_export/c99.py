@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import __version__
 from .._model.coordinate import direction, sign
+from .._model.coverage import trained_words
 from .._model.fitted import Fitted
 from .._model.model import Model
 from .._table.quantity import grouped, per_second
@@ -109,6 +110,7 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
     kind = np.float32 if plan.single else np.float64
     rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
     return substitutions(plan) | {
+        "excited": trained_words(Fitted(plan.model, plan.origin)),
         "count": str(planning.SAMPLES), "every": str(test.every), "what": test.what, "range": repr(full),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
         "tolerance": repr(planning._PREDICTED[precision] + rounding),

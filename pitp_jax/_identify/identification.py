@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from .._effects import effect
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.domain import Domain
 from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
@@ -362,4 +363,4 @@ def _to_model(
     )
     if chosen.delay > 0:
         model = replace(model, effects=(effect("delay", time=chosen.delay),))
-    return Fitted(model, origin)
+    return Fitted(model, with_excited(origin, records))

@@ -14,7 +14,8 @@ import numpy as np
 
 from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
-from .._model.fitted import Fitted, model_of
+from .._model.coverage import target_beyond, target_words
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.units import units_of
 from .._record.reading import Target
@@ -44,7 +45,8 @@ class Feedforward(Shown):
         saturated: True where it exceeds a voltage or slew limit.
         target: True on the target's own samples.
         wanted: the given target there; nan before and after.
-        outside_training_share: fraction of target samples outside the trained region.
+        outside_training_share: the larger of two fractions: of the target's samples, outside the trained region; of
+            its energy, at frequencies and amplitudes that the model was not trained with.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the
             inversion, not a prediction of tracking. nan for a constant target: `warnings` has its error.
         equation_e_rms_percent: the same for eq. 13 clipped at the limits, before shooting.
@@ -107,7 +109,8 @@ def feedforward(
     if not isinstance(target, Target | Record):
         raise BadInput(f"a {type(target).__name__} is not a target; give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
-    model, units = model_of(model), units_of(model)
+    fitted, units = fitted_of(model), units_of(model)
+    model = fitted.model
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     given = target
     if resample:
@@ -142,6 +145,8 @@ def feedforward(
             f"{100 * outside:.0f} % of the target lies outside the trained region: "
             f"{outside_words(model, cut.features[first:last], target.time)}; expect larger errors there",
         )
+    unseen = target_beyond(fitted, wanted, target.dt)
+    warnings += tuple(filter(None, [target_words(fitted, unseen)]))
     inside = np.zeros(len(best.voltage), bool)
     inside[first:last] = True
     ramp = np.zeros(len(inside) - last, bool)
@@ -163,7 +168,7 @@ def feedforward(
         saturated=saturated,
         target=inside,
         wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=outside,
+        outside_training_share=max(outside, unseen.fraction),
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,

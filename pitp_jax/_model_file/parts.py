@@ -29,6 +29,7 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
 from .._model.own_encoder import OwnEncoder
+from .._record.excited import Table
 from .._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
@@ -241,11 +242,18 @@ def origin_of(header: dict) -> Origin:
         out_of_fold=_bands(stored["out_of_fold"]),
         remarks=tuple(map(str, stored["remarks"])),
         identified_on=tuple(map(str, stored["identified_on"])),
+        excited_input=_table(stored, "excited_input"),
+        excited_output=_table(stored, "excited_output"),
         long_record=unpacked(header["long_record"]),
         training=None if stored["training"] is None else dict(stored["training"]),
         adapted=tuple(map(dict, stored["adapted"])),
         lineage=tuple(map(dict, stored["lineage"])),
     )
+
+
+def _table(stored: dict, name: str) -> Table:
+    """Return a table of excited cells; empty for files without one."""
+    return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
 
 
 def _without_control(value: Any) -> Any:

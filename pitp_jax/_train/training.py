@@ -22,6 +22,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Model
@@ -160,6 +161,7 @@ def train(
     domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
     # With an encoder, the origin's statements on the coefficients no longer describe the model.
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
