@@ -259,7 +259,7 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
 
 
 def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
-    """Yield the contributions of one effect to a side, as simulator parameters if they exist."""
+    """Yield the contributions of one effect to the parameters of the simulator or the robot."""
     base = base_units(units_of(model))  # a simulator's units
     told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
     errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}

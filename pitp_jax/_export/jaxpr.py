@@ -122,7 +122,7 @@ _MOVES = {
 
 
 def _number(array: np.ndarray, equation) -> jax.Array:
-    """Return indices, which must be known."""
+    """Return an array of scalars as integer indices; refuse it if they are not known when the code is written."""
     # otherwise the step would need an array in memory and a check of its bounds
     if any(isinstance(a, Node) for a in array.ravel()):
         raise BadInput(f"a step whose {equation.primitive.name} takes a place found while it runs cannot be written")

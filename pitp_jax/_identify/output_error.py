@@ -299,7 +299,7 @@ def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
 
 
 def alone(problem: Problem, k: int) -> Problem:
-    """Return the problem of record k alone, in the same units."""
+    """Return the problem reduced to record k, in the same units."""
     return replace(
         problem,
         drive=problem.drive[k : k + 1],

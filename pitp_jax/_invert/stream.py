@@ -66,6 +66,8 @@ def invert_stream(
     """
     refuse_traced("invert_stream", "inverse", model, None if isinstance(blocks, Iterator) else blocks)
     model = model_of(model)
+    if isinstance(blocks, np.ndarray) and blocks.ndim < 2:
+        raise BadInput("blocks is one array: give a list of arrays, [displacement] where there is only one")
     if model.effects:
         raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")
     if not dt > 0 or window < _SMALLEST:

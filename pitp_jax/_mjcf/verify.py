@@ -86,7 +86,7 @@ class Verification:
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
 
     def lines(self) -> list[str]:
-        """Return sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = []
         for held_out, words in ((False, "recordings of the diagnosis"), (True, "other recordings")):
             after, before = self.gap(held_out), self.gap(held_out, after=False)

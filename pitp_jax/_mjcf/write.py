@@ -52,7 +52,7 @@ class Written:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]

@@ -1,4 +1,4 @@
-"""How much of an input or a target lies beyond what a model was trained with, and the sentence that says so."""
+"""The part of an input or a target outside the training of a model, and a sentence on it."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -14,24 +14,24 @@ from .origin import Origin
 from .units import units_of
 
 WORTH_A_LINE = 0.1  # fraction of the energy
-_LITTLE = 0.05  # of an amplitude: what was trained with less was not trained
+_LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as trained
 
 
 def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
-    """Add what recordings of one sampling interval excite."""
+    """Return the origin with the frequencies and amplitudes that these recordings excite (one sampling interval)."""
     outputs = [np.interp(r.time, r.time[r.observed], r.displacement[r.observed]) for r in records]
     inputs, dt = [r.voltage for r in records], records[0].dt
     return replace(origin, excited_input=tabulate(inputs, dt), excited_output=tabulate(outputs, dt))
 
 
 def input_beyond(model: Model | Fitted, voltage: np.ndarray, dt: float) -> Beyond:
-    """Find the part of an input (V, shape (time,)) that the model was not trained with."""
+    """Return the part of an input (V, shape (time,)) outside the trained frequencies and amplitudes."""
     fitted = fitted_of(model)
     return beyond(fitted.origin.excited_input, voltage, dt, _resonance(fitted))
 
 
 def target_beyond(model: Model | Fitted, displacement: np.ndarray, dt: float) -> Beyond:
-    """Find the part of a target (m, shape (time,)) that the model was not trained with."""
+    """Return the part of a target (m, shape (time,)) outside the trained frequencies and amplitudes."""
     fitted = fitted_of(model)
     return beyond(fitted.origin.excited_output, displacement, dt, _resonance(fitted))
 
@@ -41,12 +41,12 @@ def _resonance(fitted: Fitted) -> float:
 
 
 def input_words(model: Model | Fitted, part: Beyond) -> str:
-    """Write what of an input the model was not trained with, and the remedy; empty below a tenth of its energy."""
+    """Return a sentence on the untrained part of an input and the remedy; empty below a tenth of its energy."""
     return _words("input", part, units_of(model).input)
 
 
 def target_words(model: Model | Fitted, part: Beyond) -> str:
-    """Write what of a target the model was not trained with, and the remedy; empty below a tenth of its energy."""
+    """Return a sentence on the untrained part of a target and the remedy; empty below a tenth of its energy."""
     return _words("target", part, units_of(model).output)
 
 
@@ -73,7 +73,7 @@ def _words(what: str, part: Beyond, unit: Quantity) -> str:
 
 
 def trained_words(model: Model | Fitted) -> str:
-    """Write which inputs the model was trained with; empty where this is not known."""
+    """Return a sentence on the frequencies and amplitudes of the training; empty if unknown."""
     fitted, lines = fitted_of(model), []
     units, origin = units_of(fitted), fitted.origin
     for what, table, unit in (

@@ -250,7 +250,7 @@ def origin_of(header: dict) -> Origin:
 
 
 def _table(stored: dict, name: str) -> Table:
-    """Return a table of excited cells; files of before it have none."""
+    """Return a table of excited cells; empty for files without one."""
     return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
 
 

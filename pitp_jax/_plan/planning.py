@@ -157,7 +157,7 @@ def plan(
 
 
 def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planned], float, tuple[str, ...]]:
-    """Plan the recording of what the model was not trained with in these limits; and the seconds that remain."""
+    """Plan a recording of the untrained frequencies within these limits; return it, the remaining seconds and notes."""
     swing, resonance = (limits.high - limits.low) / 2, fitted.model.natural_frequency / (2 * np.pi)
     band = unexcited(
         fitted.origin.excited_input, limits.band, lambda hz: min(swing, limits.slew / (2 * np.pi * hz)), resonance

@@ -1,12 +1,12 @@
-"""Which frequencies and amplitudes excited a model, and which part of another signal lies beyond them.
+"""Tables of the frequencies and amplitudes that recordings excite, and the part of another signal outside them.
 
-    a(f)    = largest over windows of  sqrt(2 mean square of all that is at f or faster)     32 periods of f long
-    part(f) = largest over recordings of the fraction of the energy that is in the quarter octave of f
+    a(f)    = largest over windows of  sqrt(2 mean square of all parts at f or faster)     32 periods of f long
+    part(f) = largest over recordings of the energy fraction in the quarter octave of f
 
-A cell (quarter octave, amplitude a) is excited where a <= 1.5 a(f), and part >= 0.001 within an octave of f. A fast
-motion of one amplitude shows what a slower one does, so a(f) falls with f, and a steady sine between two trained ones
-lies inside. A step moves every frequency a little: it counts with its own small amplitude. What is slow beside the
-resonance (below 0.35 of it) is one band: the spring alone answers there.
+A cell (quarter octave, amplitude a) is excited if a <= 1.5 a(f), and part >= 0.001 within an octave of f. A fast motion
+covers a slower one of the same amplitude, so a(f) falls with f, and a steady sine between two trained ones lies inside.
+A step excites every frequency a little and counts with its own small amplitude. All frequencies below 0.35 of the
+resonance are one band, because only the spring acts there.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -26,14 +26,14 @@ _TAIL = 0.05  # of the energy outside, which its range of frequencies leaves out
 
 
 class Beyond(NamedTuple):
-    """The part of a signal that lies in cells that were not excited.
+    """The part of a signal outside the excited frequencies and amplitudes.
 
     Attributes:
         fraction: of the signal's energy about its mean.
-        low_hz, high_hz: where this part lies.
+        low_hz, high_hz: its frequency range.
         amplitude: of this part, base unit.
         reached: largest amplitude trained there, base unit.
-        below_hz, above_hz: nearest frequencies, down and up, that were trained at this amplitude; None where none was.
+        below_hz, above_hz: nearest lower and higher frequencies trained at this amplitude; None without one.
     """
 
     fraction: float
@@ -46,7 +46,7 @@ class Beyond(NamedTuple):
 
 
 class _Bands(NamedTuple):
-    """Quarter octaves of one octave, over windows.
+    """The bands (quarter octaves) of one octave, with their mean squares per window.
 
     Attributes:
         numbers: of the bands, shape (bands,).
@@ -70,20 +70,20 @@ def _edge(number) -> float:
 
 
 def _window(size: int, tapered: float) -> np.ndarray:
-    """Return a periodic window of Tukey: a cosine at both ends over a fraction of it, flat between; 1: of Hann."""
+    """Return a periodic Tukey window, tapered by cosines over the fraction `tapered`; 1 gives a Hann window."""
     to_end = np.minimum(np.arange(size), size - np.arange(size)) / size
     return 0.5 - 0.5 * np.cos(2 * np.pi * np.minimum(to_end / tapered, 0.5))
 
 
 def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
-    """Yield bands by octaves; those whose windows would be longer than the signal come together, from one window."""
+    """Yield bands by octaves; all bands slower than the signal's length allows use one window and come first."""
     signal = np.asarray(signal, np.float64) - np.mean(signal)
     slowest = int(np.floor(np.log2(PERIODS / (len(signal) * dt))))
     for octave in range(slowest, int(np.ceil(np.log2(0.5 / dt)))):
         whole = octave == slowest
         size = len(signal) if whole else min(round(PERIODS / 2.0**octave / dt), len(signal))
         starts = np.unique(np.append(np.arange(0, len(signal) - size, max(size // 2, 1)), len(signal) - size))
-        # what is slow may stand at an end of a recording alone: its one window is flat over half of it
+        # a slow part may lie at one end of a recording only, so the single window is flat over half of it
         window = _window(size, _TAPER if whole else 1.0)
         pieces = np.lib.stride_tricks.sliding_window_view(signal, size)[starts] * window
         power = 2 * np.abs(np.fft.rfft(pieces)[:, 1:]) ** 2 / (size * np.sum(window**2))
@@ -102,7 +102,7 @@ def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
 
 
 def tabulate(signals: Sequence[np.ndarray], dt: float) -> Table:
-    """Tabulate what signals of one sampling interval excite.
+    """Return the largest amplitude and energy fraction of signals (one sampling interval) per quarter octave.
 
     Returns:
         a row for every quarter octave: the middle of its energy (Hz), the amplitude reached at it or above (base
@@ -124,14 +124,14 @@ def tabulate(signals: Sequence[np.ndarray], dt: float) -> Table:
 
 
 class Cells:
-    """The cells of a table: which were excited.
+    """A table of excited cells: frequency bands with the amplitudes reached.
 
     Attributes:
         hz, reached, part: columns of the table, shape (bands,).
     """
 
     def __init__(self, table: Table, resonance_hz: float):
-        """Take the columns of a table; `resonance_hz`: of the model, below 0.35 of which all bands are one."""
+        """Store a table's columns; bands below 0.35 of the model's resonance count as one."""
         self.hz, self.reached, self.part = np.array(table).T
         self._numbers, self._slow = _number(self.hz), int(_number(max(_SLOW * resonance_hz, 1e-12)))
 
@@ -140,12 +140,12 @@ class Cells:
         return float(self.reached[self._numbers >= number].max(initial=0.0))
 
     def excite(self, number: int, amplitude):
-        """Return whether cells of this band and these amplitudes were excited; any shape."""
+        """Return whether this band was excited at these amplitudes, in the shape of `amplitude`."""
         near = np.abs(self._numbers - max(number, self._slow)) <= PER_OCTAVE
         return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= _PART)
 
     def beside(self, low: int, high: int, amplitude: float) -> tuple[float | None, float | None]:
-        """Return the nearest frequencies (Hz) below and above bands that were trained at an amplitude."""
+        """Return the nearest trained frequencies (Hz) below and above these bands at an amplitude, or None."""
         well = (TOLERANCE * self.reached >= amplitude) & (self.part >= _NAMED)
         down, up = self.hz[well & (self._numbers < low)], self.hz[well & (self._numbers > high)]
         return float(down[-1]) if len(down) else None, float(up[0]) if len(up) else None
@@ -158,10 +158,10 @@ class Cells:
 
 
 def beyond(table: Table, signal: np.ndarray, dt: float, resonance_hz: float) -> Beyond:
-    """Find the part of a signal that lies in cells that were not excited.
+    """Return the part of a signal outside the excited frequencies and amplitudes.
 
     Args:
-        table: of `tabulate`; an empty one says nothing.
+        table: of `tabulate`; an empty one gives a fraction of 0.
         signal: base unit, shape (time,); no missing samples.
         dt: sampling interval in s.
         resonance_hz: of the model.
@@ -194,7 +194,7 @@ def beyond(table: Table, signal: np.ndarray, dt: float, resonance_hz: float) -> 
 def unexcited(
     table: Table, band: tuple[float, float], amplitude: Callable[[float], float], resonance_hz: float
 ) -> tuple[float, float] | None:
-    """Find the lowest frequencies of a band that were not excited, as one range in Hz; None where all were.
+    """Return the lowest range of a band (Hz) that was not excited; None if all of it was.
 
     `amplitude`: of the input that a rig can play at a frequency (base unit).
     """

@@ -306,7 +306,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
 
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
-    """Return one stretch at steps of dt, and how many output samples are masked in gaps of the output."""
+    """Return one stretch interpolated at steps of dt, and the number of output samples masked in gaps."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)

@@ -153,7 +153,7 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
 
 
 def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
-    """Add the part of the record's input that the model was not trained with."""
+    """Return the prediction with the fraction and the description of the input's untrained part."""
     part = input_beyond(model, record.voltage, record.dt)
     share = max(run.outside_training_share, part.fraction)
     return replace(run, outside_training_share=share, not_excited=input_words(model, part))

@@ -205,7 +205,7 @@ def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence
 
 
 def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options that a table lacks (empty if none would help); None if it lacks nothing."""
+    """Return the reading options that would complete a table (empty if none would); None if it is complete."""
     try:
         choose_columns(table, options, quantities)
     except BadInput as error:

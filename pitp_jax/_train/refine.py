@@ -189,7 +189,7 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """Return the length (samples) of the longest free run: the longest record, if all or some such fit the budget."""
+    """Return the length of the longest free run, samples: the longest record, or less if the budget requires it."""
     longest = max(r.samples for r in records)
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
     return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))

@@ -199,7 +199,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Return all figures this diagnosis has content for, by the name of their file.
+    """Return all figures for which this diagnosis has data, by file name.
 
     A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """

@@ -45,7 +45,7 @@ def _term(d: Diagnosis) -> str:
 
 
 def _rivals(d: Diagnosis) -> str:
-    """Return the effects tied with the reported one, or the distance of the next best effect."""
+    """Return a sentence on the effects tied with the reported one, or on the next best effect."""
     if d.equivalent:
         return f"These data cannot tell {d.effects[0]} from {named(d.equivalent)}."
     others = [r for r in d.ranking if r.effect not in d.effects]
