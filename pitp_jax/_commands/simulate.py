@@ -57,7 +57,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
          "diverged" if row["diverged"] else "") for name, row in rows.items()
     ])  # fmt: skip
     if all(row["diverged"] for row in rows.values()):
-        raise ComputationFailed(f"{model} diverged under every input; stay within the inputs it was made from")
+        raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
@@ -69,15 +69,15 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
     for drive in drives:
         if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
             say(
-                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, {path} was made at "
-                f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
+                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, the recordings of {path} every "
+                f"{model.dt:.6g} s; expect larger errors with coarser sampling"
             )
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
             seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
             times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
             say(
-                f"warning: {drive.name} plays {played}; {path} was made from {seen}. It leaves that range by "
-                f"{100 * times:.2g} % of its width, where the model is an extrapolation"
+                f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
+                f"by {100 * times:.2g} % of that range's width"
             )
         if words := input_words(model, input_beyond(model, drive.voltage, drive.dt)):
             say(f"warning: {drive.name}: {words}")

@@ -159,7 +159,7 @@ def build_case(
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
-            raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
+            raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
     # the part of the model that no slot can hold (a trained encoder) is subtracted from the measurement below
     nominal, foreign = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]

@@ -469,13 +469,13 @@ class Search:
         for depth in range(1, DEPTH + 1):
             if depth == 1 and not self.budget.allows("sets of 1 effect"):
                 break
-            self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: added to {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
             if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                self.budget.begin("no single effect helps")
+                self.budget.begin("no single effect improves the fit significantly")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # at the nominal's own error there is nothing more to explain

@@ -129,7 +129,7 @@ class EffectSpec:
     def __call__(self, *values) -> Effect:
         """Return the effect with these parameters, in the order of `parameters`."""
         if len(values) != len(self.parameters):
-            raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
+            raise TypeError(f"{self.key} has {len(self.parameters)} parameters, not {len(values)}")
         # an array keeps its precision, a plain number gets that of training and rollout
         return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 

@@ -107,7 +107,7 @@ def feedforward(
         True
     """
     if not isinstance(target, Target | Record):
-        raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
+        raise BadInput(f"a {type(target).__name__} is not a target; give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
     fitted, units = fitted_of(model), units_of(model)
     model = fitted.model
@@ -117,8 +117,8 @@ def feedforward(
         target = at_rate_of_model(target, model.dt)
     if target is not given:
         warnings += (
-            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s: joined by a "
-            "cubic spline",
+            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s, and was "
+            "interpolated by a cubic spline",
         )
     model = at_rate(model, target.dt)
     wanted = np.asarray(to_model(model, target.displacement, zero))
@@ -130,7 +130,10 @@ def feedforward(
     age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
-        warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
+        warnings += (
+            f"the stiffness drifts, so this voltage is for {age:.4g} s after the start of the session (the "
+            "target's clock)",
+        )
     course = Course(model, path, limits, target.dt, age, start)
     cut = course.plan(path.displacement)
     if cut.infeasible[first:last].mean() > _MOST:
@@ -139,8 +142,8 @@ def feedforward(
     outside = outside_fraction(model, cut.features[first:last])
     if outside > 0.01:
         warnings += (
-            f"{100 * outside:.0f} % of the target lies outside the region the model was trained in: "
-            f"{outside_words(model, cut.features[first:last], target.time)}; expect more error there",
+            f"{100 * outside:.0f} % of the target lies outside the trained region: "
+            f"{outside_words(model, cut.features[first:last], target.time)}; expect larger errors there",
         )
     unseen = target_beyond(fitted, wanted, target.dt)
     warnings += tuple(filter(None, [target_words(fitted, unseen)]))
@@ -154,8 +157,8 @@ def feedforward(
     error = course.error(best)
     if np.isnan(error):
         warnings += (
-            f"the target holds one value, eq. 15 has no range: "
-            f"the model's rollout is {units.output.text(course.missed(best), 2)} off it",
+            f"the target is constant, so there is no error in % of range; the model's motion differs from it by "
+            f"{units.output.text(course.missed(best), 2)}",
         )
     warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best), units)
     return Feedforward(
@@ -187,7 +190,7 @@ def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, frac
             other = "give --zero sensor if it holds sensor readings"
         raise BadInput(
             f"{100 * fraction:.0f} % of the target lies on the side that this actuator cannot reach, but its negative "
-            f"can be reached: change the sign of the target, or {other}"
+            f"can be reached; change the sign of the target, or {other}"
         )
 
 

@@ -163,7 +163,7 @@ def describe(fitted: Fitted) -> dict:
 def _effect(effect) -> dict:
     key = effect.spec.key if isinstance(effect, Effect) else type(effect).__name__
     if key not in EFFECTS:
-        raise BadInput(f"cannot save the model: {key} has no place in model files; only rows of the catalogue have")
+        raise BadInput(f"cannot save the model: {key} is not an effect of the catalogue")
     return {"name": key, **EFFECTS[key].describe(effect)}
 
 
@@ -195,7 +195,9 @@ def _named(registry: dict[str, Part], part) -> dict:
         if type(part) is kind.cls:  # a user's subclass would be read back as its parent
             return {"name": name, **kind.describe(part)}
     known = ", ".join(registry) or "none yet"
-    raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
+    raise BadInput(
+        f"cannot save the model: a {type(part).__name__} cannot be stored in a model file (known parts: {known})"
+    )
 
 
 def _part(registry: dict[str, Part], described: dict, **given: Any):
@@ -204,7 +206,7 @@ def _part(registry: dict[str, Part], described: dict, **given: Any):
     if name in REMOVED:
         raise BadInput(f"holds the effect {name!r}, which is no longer part of pitp_jax; diagnose the recordings again")
     if name not in registry:
-        raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
+        raise BadInput(f"holds an unknown part {str(name)[:40]!r}; update pitp_jax")
     for key, value in settings.items():
         # the only setting that is a word: an adapted encoder contains a plain one
         if key == "of" and value in ("constant", "compact", "paper", "own"):
@@ -271,7 +273,7 @@ def _encoder(described: dict, own: Any) -> Any:
         name = cleaned(module)[:40]
         raise BadInput(f"holds an encoder of your own ({name}): give pitp.load(FILE, encoder={name}(...)) in Python")
     if module is None and own is not None:
-        raise BadInput("holds no encoder of your own: load it without `encoder`")
+        raise BadInput("holds no encoder of your own; load it without `encoder`")
     return _part(ENCODERS, settings, **({} if own is None else {"module": own}))
 
 

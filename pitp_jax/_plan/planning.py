@@ -27,9 +27,9 @@ from .next_recordings import bearable, following, ranked
 from .rests import first_rest, rest_after
 
 REACHED = (
-    "If the largest stroke so far is above what a recording asks for, leave it out and try the next. When none is "
-    "left, identify a model on what was recorded and plan with it: it knows the stroke of every drive and proposes "
-    "those that stay below the limit."
+    "If the largest stroke so far is above the limit of a recording, leave that recording out and try the next. When "
+    "none is left, identify a model on the recordings made so far and plan with it: it predicts the stroke of every "
+    "input and proposes those within the limit."
 )
 _LONG = 60.0  # s; a longer recording is reported if the slew limit causes it
 _BAND = (0.05, 1.3)  # of a model's resonance, if no band is given
@@ -147,10 +147,10 @@ def plan(
     if not records and first:
         return _played(first, limits, alternate, recorded, notes=notes)
     if not records:
-        raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
+        raise BadInput("planning for a trained model needs the recordings it was trained on; give them too")
     chosen = following(model, records, limits, length, seed)
     if 0 < chosen.worth < len(chosen.recordings):
-        notes += ("after these another recording would not lower the error visibly",)
+        notes += ("after these, another recording would not lower the error noticeably",)
     taken, expected = chosen.recordings[: chosen.worth], chosen.expected[: chosen.worth + 1]
     taken, stop = [*first, *taken], not taken and not first
     return _played(taken, limits, alternate, recorded, expected=expected, stop=stop, notes=chosen.notes + notes)
@@ -213,7 +213,7 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
         BadInput: no trained model, or none of its records.
     """
     if model is None or not trained(model) or not records:
-        raise BadInput("--choose-from needs a trained model and the records it was trained on")
+        raise BadInput("--choose-from needs a trained model and the recordings it was trained on")
     check_set([*records, *others])
     best, dt = ranked(model, records, others, duration), others[0].dt
     played = [r.voltage for r in best.recordings]
@@ -222,7 +222,7 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
     limits = Limits(
         low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0, units
     )
-    worth = f"the first {best.worth} of {len(played)} would lower the error visibly"
+    worth = f"the first {best.worth} of {len(played)} would lower the error noticeably"
     return Plan(best.recordings, limits, best.expected, best.worth == 0, (worth,))
 
 
@@ -239,7 +239,9 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
     """
     missing = [name for name, value in ((units.max_input, max_voltage), ("--band", band)) if value is None]
     if model is None and missing:
-        raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
+        raise BadInput(
+            f"a first session needs {' and '.join(missing)}; give the limits of the amplifier and the membrane"
+        )
     low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
     one_sided = model is None or model.input_map.one_sided
     # behind a square a negative voltage gives the same force as a positive one

@@ -137,12 +137,12 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
     if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
         at = int(np.argmax(np.diff(rows.time) == 0)) + 1
         raise BadInput(
-            f"{source}: column {column!r}, {place(at)}: time repeats, and so it does in most rows; give --rate HZ"
+            f"{source}: column {column!r}, {place(at)}: most rows repeat the time of the row before; give --rate HZ"
         )
     if evenness(single) > _CONTRADICTED:
         raise BadInput(
-            f"{source}: column {column!r}: the time is not uniform, but input and output continue from row to row as "
-            "if they were sampled evenly; give --rate HZ"
+            f"{source}: column {column!r}: the time is not uniform, but input and output are smooth from row to row, "
+            "as if sampled evenly; give --rate HZ"
         )
     return single
 
@@ -159,7 +159,8 @@ def _grid(rows: Rows) -> _Line | None:
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # 2.0 usual steps: one sample was lost
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
-    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if moves.sum() < 2**53 else [index]
+    lost = len(steps) < moves.sum() < 2**53
+    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if lost else [index]
     # One row lost in the middle of a long record stays within half a sample of a straight line, so both are tried.
     lines = [_fitted(trial, time) for trial in trials]
     fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]
@@ -237,8 +238,8 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
     dropped = count - sum(part.stop - part.start for part in kept)
     if 2 * dropped > count or not kept:
         raise BadInput(
-            f"{source}: column {column!r}: split at its {len(cuts)} gaps less than half of the rows are in stretches "
-            f"of {MIN_SAMPLES} samples; record without gaps"
+            f"{source}: column {column!r}: {len(cuts)} gaps leave less than half of the rows in pieces of at least "
+            f"{MIN_SAMPLES} samples; record without gaps"
         )
     return kept, dropped
 
@@ -299,7 +300,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
     ends, bridged = (float(steps.min()), float(steps.max())), sum(count for _, count in made)
     if 2 * bridged > sum(len(piece.time) for piece, _ in made):
         raise BadInput(
-            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too uneven to resample; "
+            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too irregular to resample; "
             "give --rate HZ if the rows were sampled evenly"
         )
     return Gridded(tuple(piece for piece, _ in made), 0.0, rows, dropped, steps=ends, bridged=bridged)

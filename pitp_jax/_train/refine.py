@@ -110,7 +110,7 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
     costs, began = [], time.monotonic()
     for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, parameters(model)[0])):
         if not np.isfinite(cost):
-            raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
+            raise ComputationFailed("the free runs diverged before refinement; check the recordings for spikes")
         costs.append(cost)
         remaining = (time.monotonic() - began) / (k + 1) * (count - k)
         how.report(stage, k, count, cost, min(costs), remaining)
