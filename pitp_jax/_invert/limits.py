@@ -4,7 +4,6 @@ low <= u <= high,   |u'| <= slew,   |x| <= farthest
 """
 
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
@@ -29,7 +28,7 @@ class Limits:
     farthest: float = np.inf
     ends: float = 0.0
     units: Units = Units()
-    assumed: tuple[Literal["range", "slew"], ...] = ()
+    assumed: tuple[str, ...] = ()
 
     @property
     def unnoticed(self) -> float:
