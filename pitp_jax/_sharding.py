@@ -51,7 +51,9 @@ def spread(batch, mesh: Mesh):
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
     count, devices = len(leaves[0]), len(mesh.local_devices)
     if count == 0 or any(len(leaf) != count for leaf in leaves):
-        raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
+        raise BadInput(
+            f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot be stacked; give one number of records"
+        )
     # the leading axis is divided among the devices, all others stay whole
     placed = NamedSharding(mesh, PartitionSpec(_AXIS))
 

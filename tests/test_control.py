@@ -337,7 +337,7 @@ def test_what_no_voltage_holds_is_refused_and_exported_without_a_controller(tmp_
     """A leak lets every held voltage fade: no equilibrium. With an infinite time constant PI is the feedforward."""
     leaky = replace(actuator(), effects=(effect("charge_leak", kappa=1.0, tau=2.0),))
     for seconds in (None, 0.3):
-        with pytest.raises(BadInput, match="no voltage of the model's range holds"):
+        with pytest.raises(BadInput, match="no voltage in the model's range holds"):
             pitp.pi_gains(leaky, time_constant=seconds)
     pitp.export_c(leaky, tmp_path / "c", time_constant=np.inf)
     assert f"pitp_jax {pitp.__version__}" in (tmp_path / "c" / "pitp_model.h").read_text()

@@ -43,7 +43,7 @@ def test_a_target_that_asks_for_a_push_says_how_much_of_it_does(actuator):
     """Twice as fast as the resonance, the force swings about that of rest by three times the motion: below zero."""
     found = feedforward(actuator, Target(TIME, swing(3e-4, 3e-4, 10.0)))
     assert 0.05 < (share := found.infeasible[found.target].mean()) < 0.95
-    assert any(f"{100 * share:.0f} % of the target asks for a force" in line for line in found.warnings)
+    assert any(f"{100 * share:.0f} % of the target needs a force" in line for line in found.warnings)
 
 
 @pytest.mark.slow
@@ -132,7 +132,7 @@ def test_a_first_state_out_of_the_amplifiers_reach_is_told(actuator):
 
     def told(top):
         found = feedforward(actuator, Target(TIME, swing(top, 0.1 * top, 1.0)))
-        return [w for w in found.warnings if "first state" in w]
+        return [w for w in found.warnings if "initial state" in w]
 
     assert told(1e-3) == []
     (line,) = told(1.0)

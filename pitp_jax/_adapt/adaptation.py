@@ -155,8 +155,8 @@ def _verdict(model, new, changed, before: float, after: float | None, heldout: b
 
 
 _ADVICE = (
-    "no factor on a part of the model explains this recording; record a sweep through the resonance and a few sines "
-    "over the driven range, then `pitp diagnose` with this model, or `pitp fit` anew"
+    "no factor on a single part of the model explains this recording; record a sweep through the resonance and a few "
+    "sines over the input range, then run `pitp diagnose` with this model, or `pitp fit` again"
 )
 
 

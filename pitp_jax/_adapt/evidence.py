@@ -66,7 +66,7 @@ def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
 
 
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
-    """Choose no parameter if no change has the most evidence; otherwise the subset of least z' C^-1 z + 4 size.
+    """Choose the changed parameters: none without evidence of a change, otherwise the least z' C^-1 z + 4 size.
 
     The evidence, with its priors, decides whether anything changed. The estimate alone decides which parameters
     changed; each must differ by two standard deviations.

@@ -99,7 +99,7 @@ class SimToReal:
             )
         if self.simulator_share[0] >= 0.05:
             found.append(
-                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."
+                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
             )
         return [*found, *self.pairs.remarks("robot", "simulator")]
 

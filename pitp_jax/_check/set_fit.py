@@ -205,11 +205,11 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
     if off and not poor:
         near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
         if abs(np.log(gain / near)) < 0.3:
-            return f"moves {gain:.3g} times as far as the others under its drive: is its unit or scale wrong?"
-        return f"moves {gain:.2g} times as far as the others under its drive: another actuator, preload or scale?"
+            return f"moves {gain:.3g} times as far as the others under its input; check its unit and scale"
+        return f"moves {gain:.2g} times as far as the others under its input; check preload, scale and actuator"
     if poor:
         return (
-            f"does not belong: one linear model leaves {100 * row.unexplained:.0f} % of it and {100 * usual:.0f} % of "
-            "most others (another actuator, another input, or a broken sensor?)"
+            f"does not fit the others: one linear model leaves {100 * row.unexplained:.0f} % of it unexplained and "
+            f"{100 * usual:.0f} % of most others; check whether actuator, input or sensor changed"
         )
     return ""

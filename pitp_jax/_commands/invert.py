@@ -98,7 +98,10 @@ def _unit_to_write(unit: str | None, units: Units) -> Quantity:
         return units.input
     known = spelt(unit)
     if known is None or kind_of(known) != kind_of(units.input.unit):
-        raise BadInput(f"--unit {unit}: the input of this model is in {', '.join(units_of_kind(units.input.unit))}")
+        raise BadInput(
+            f"--unit {unit}: wrong kind of unit for this model's input; give one of "
+            f"{', '.join(units_of_kind(units.input.unit))}"
+        )
     return Quantity(known)
 
 
@@ -108,12 +111,15 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
     print(f"largest input {largest} {played.unit}{scaled}: {len(values)} samples in {out}")
     own = float(planned.time[np.argmax(planned.target)])
-    print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
+    print(
+        f"the file's clock starts at 0 s; the target starts at {own - planned.time[0]:.6g} s of it ({own:.6g} s of "
+        "the target's own clock)"
+    )
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
     # a smaller error only shows that the inversion is correct, not how well the rig will track
     if planned.self_check_e_rms_percent >= _ROUNDING:
         print(
-            f"self-check (the model's own rollout, not a prediction of tracking): error "
+            f"self-check (the model simulated with this input; the rig may differ): error "
             f"{number(float(planned.self_check_e_rms_percent), 3)} % of range (e_rms); simply clipping the input "
             f"would give {number(float(planned.equation_e_rms_percent), 3)} %"
         )

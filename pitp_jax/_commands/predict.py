@@ -53,7 +53,7 @@ def predict(model, records, out, json_file, reading) -> None:
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(
-            f"{model} diverged on every record; check units and columns, or train on more such records"
+            f"{model} diverged on every recording; check units and columns, or train on more recordings of this kind"
         )
 
 
@@ -141,7 +141,7 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
             str(row["samples"]),
             str(row["missing"]),
             number(100 * row["outside_training_share"], 3),
-            "diverged" if row["diverged"] else "nothing to score" if row["e_rms_percent"] is None else "",
+            "diverged" if row["diverged"] else "no motion to score" if row["e_rms_percent"] is None else "",
         )
         for name, row in result["records"].items()
     ]
@@ -152,6 +152,11 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
     for p in predictions:
         if p.outside_training:
             print(f"{p.name}: outside the trained region: {p.outside_training}")
+        if p.not_excited:
+            print(f"{p.name}: {p.not_excited}")
         if p.estimated_start:
             used = int((~p.scored).sum())
-            print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")
+            print(
+                f"{p.name}: starts moving; its initial state was estimated from the first {used} samples, which are "
+                "not scored"
+            )

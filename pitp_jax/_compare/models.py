@@ -73,7 +73,7 @@ def _coefficients(one: dict, two: dict) -> list[Difference]:
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
-    """Compare the static stiffness, and the least damped mode of each, if the orders differ."""
+    """Compare the static stiffness and the least damped mode, for models of different orders."""
     stiffness = measured(
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),

@@ -73,9 +73,9 @@ class Comparison:
         """Return a sentence on how many quantities differ."""
         count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
         a, b = self.names
-        unknown = f" ({open_} more have unknown standard errors and are not judged)" if open_ else ""
+        unknown = f" ({open_} more were not judged, because their standard errors are not known)" if open_ else ""
         if not count:
-            return f"{a} and {b} differ by no more than their intervals{unknown}"
+            return f"{a} and {b} do not differ beyond their confidence intervals{unknown}"
         return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
 
     def __repr__(self) -> str:

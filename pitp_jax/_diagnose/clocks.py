@@ -32,7 +32,7 @@ def _later(record: Record, early: float) -> Record:
 
 
 def remark(early: float, dt: float) -> str:
-    """Report the shift, and what to check."""
+    """Return a remark on the time shift, with a check for the user."""
     return (
         f"clock_shift: the output column is {number(1e3 * early, 3)} ms ({number(early / dt, 2)} samples) early beside "
         "the input column: it answers before the input changes. This is a fault of the recordings, not an effect; it "

@@ -169,9 +169,9 @@ def own_misfit(case: Case) -> tuple[float, str]:
     """
     origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
     if not np.isfinite(origin.misfit):
-        return 0.0, "the sensor's noise: the nominal carries no error of its own"
+        return 0.0, "the sensor's noise, because the model file holds no error of its own"
     noise = origin.noise / scale if origin.noise > 0 else _noise(case)
-    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
+    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "its error on the recordings it was identified on"
 
 
 def _noise(case: Case) -> float:
@@ -201,9 +201,9 @@ def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequen
     before, after = (_over(traces, which, others) for which in ("nominal", "augmented"))
     part = 100 * sum(map(np.sum, searched.values())) / sum(r.samples for r in records)
     return (
-        f"the search worked on {len(pieces)} pieces, {figure(part, 2)} % of the samples; on the samples that it did "
-        f"not use the error is {of_range(after)} of range ({of_range(before)} with the nominal model); all other "
-        "errors are of free runs over all recordings"
+        f"The search used {len(pieces)} pieces with {figure(part, 2)} % of the samples. On the other samples the "
+        f"error is {of_range(after)} of range ({of_range(before)} with the nominal model). All other errors are of "
+        "free runs over all recordings"
     )
 
 

@@ -153,11 +153,11 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
         return part
     other = " and ".join(rival.labels) or "the model without it"
     found: Experiment | None = None
-    if search.budget.allows(f"the recording that tells {part.effect} from {other}"):
+    if search.budget.allows(f"the recording that separates {part.effect} from {other}"):
         found = separate(search.case, search.scale, handed, rival, (part.effect, other))
     if found is None or found.difference < 1:
-        return replace(part, certainty="likely", recording=f"{_ANOTHER} (to tell it from {other})")
-    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to tell it from {other})"
+        return replace(part, certainty="likely", recording=f"{_ANOTHER} (to separate it from {other})")
+    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to separate it from {other})"
     return replace(part, certainty="likely", recording=words, experiment=found)
 
 

@@ -264,7 +264,7 @@ class Search:
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            # a hypothesis counts only after it is judged, so the fits leave time for that
+            # a hypothesis counts only after its out-of-fold score, so the fits reserve time for that
             with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
                 self._climb(some)
             self.judge(depth, without)
@@ -333,7 +333,7 @@ class Search:
             fits = fits[count:]
 
     def judged(self, names: Set[str]) -> Hypothesis | None:
-        """Return the hypothesis of these effects, refitted without each fold if necessary; None: not tried."""
+        """Return the hypothesis of these effects, refitted without each fold if necessary; None if not tried."""
         key = frozenset(names)
         if key in self.waiting:
             self._settle([self.waiting[key]])
@@ -469,13 +469,13 @@ class Search:
         for depth in range(1, DEPTH + 1):
             if depth == 1 and not self.budget.allows("sets of 1 effect"):
                 break
-            self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: added to {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
             if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                self.budget.begin("no single effect helps")
+                self.budget.begin("no single effect improves the fit significantly")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # at the nominal's own error there is nothing more to explain

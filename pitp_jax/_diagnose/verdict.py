@@ -28,7 +28,7 @@ _DIFFERS = (
     "same machine?"
 )
 _FLEXIBLE = "A general black-box model fits equally well, so no single cause can be named with confidence."
-_LARGER = "A larger set of effects leaves less than half of the error, and some of these effects are not needed in it."
+_LARGER = "A larger set of effects leaves less than half of the error, and does not need some of these effects."
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
         return answer("unknown", reason=_DIFFERS, **seen)
     if FREE in chosen.names:
-        return answer("unknown", reason="A force that has no name is part of the best model.", **seen)
+        return answer(
+            "unknown",
+            reason="The best model contains a force that is not in the catalogue, so no cause is certain.",
+            **seen,
+        )
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):

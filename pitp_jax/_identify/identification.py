@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from .._effects import effect
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.domain import Domain
 from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
@@ -48,8 +49,8 @@ _BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choic
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
 _NONE = (
-    "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
-    "or check that the voltage and displacement columns belong together"
+    "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
+    "that the input and output columns belong together"
 )
 _HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
@@ -198,15 +199,15 @@ def _check_options(
 ) -> None:
     """Refuse options of `identify` that do not exist or exclude each other."""
     if input_map not in INPUT_MAPS:
-        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
+        raise BadInput(f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}")
     if order != "auto" and order not in ORDERS:
-        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+        raise BadInput(f"order {order!r} is not supported; use 1 to 6, or auto")
     if hold is not None and hold not in (*_HOLDS, "bandlimited"):
-        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
+        raise BadInput(f"unknown hold {hold!r}; use one of {', '.join(_HOLDS)}, bandlimited, or None")
     if unknown := sorted({*learn, *leave_out} - {"delay"}):
-        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification; use delay")
     if "delay" in learn and "delay" in leave_out:
-        raise BadInput("a delay cannot be both learned and left out: choose one")
+        raise BadInput("a delay cannot be both learned and left out; choose one")
 
 
 def _candidates(
@@ -225,7 +226,9 @@ def _candidates(
     }
     candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+        raise ComputationFailed(
+            "no order could be simulated on these recordings; check the units and the sampling of the columns"
+        )
     if order != "auto" and response.rich and not any(c.known for c in candidates):
         # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
@@ -360,4 +363,4 @@ def _to_model(
     )
     if chosen.delay > 0:
         model = replace(model, effects=(effect("delay", time=chosen.delay),))
-    return Fitted(model, origin)
+    return Fitted(model, with_excited(origin, records))

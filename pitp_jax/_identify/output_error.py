@@ -118,9 +118,9 @@ class Solved:
 def check_motion(records: Sequence[Record]) -> None:
     """Refuse records in which nothing changes."""
     if np.ptp(np.concatenate([r.voltage for r in records])) == 0:
-        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
+        raise BadInput("the input never changes in these recordings; record an excitation such as a sweep")
     if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
-        raise BadInput("the displacement never changes in these records: check the sensor and its column")
+        raise BadInput("the output never changes in these recordings; check the sensor and its column")
 
 
 def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning]) -> Problem:
@@ -299,7 +299,7 @@ def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
 
 
 def alone(problem: Problem, k: int) -> Problem:
-    """Return the problem of record k alone, in the same units."""
+    """Return the problem reduced to record k, in the same units."""
     return replace(
         problem,
         drive=problem.drive[k : k + 1],

@@ -69,11 +69,13 @@ def discrete_inverse(
     """
     model = model_of(model)
     if model.effects:
-        raise ValueError("discrete_inverse knows no effects: use feedforward")
+        raise ValueError("discrete_inverse does not support effects; use feedforward")
     if model.hold == "bandlimited":
-        raise ValueError("discrete_inverse needs hold foh or zoh")
+        raise ValueError("discrete_inverse needs a model with hold foh or zoh")
     if model.substeps != 1:
-        raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
+        raise ValueError(
+            "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps"
+        )
     free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
     n = model.order
     moved = jnp.diff(states, axis=0)  # exact for neighbouring states, so no rounding is added to the decoder's own
@@ -156,7 +158,7 @@ def along_motion(
         BadInput: a band-limited voltage, of which a sample acts on sixteen steps.
     """
     if model.hold == "bandlimited":
-        raise BadInput("kind 'discrete' needs hold 'foh' or 'zoh': give kind='closed_form'")
+        raise BadInput("kind 'discrete' needs a model with hold 'foh' or 'zoh'; give kind='closed_form'")
     model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
     states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
     n, dtype = model.order, states.dtype

@@ -8,7 +8,6 @@ Each signal is one recording; the caller vmaps.
 
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -16,7 +15,7 @@ from .._errors import BadInput
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .._simulate import ports
 from .discrete import along_motion
 from .equation import invert_path, unreachable
@@ -60,7 +59,8 @@ def inverse(
     if kind not in ("closed_form", "discrete"):
         raise BadInput(f"kind {kind!r} is not 'closed_form' or 'discrete'")
     model = model_of(model)
-    return _inverse(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, kind, zero)
+    displacement = signal(displacement, model.coefficients.dtype, "displacement")
+    return _inverse(model, displacement, model.dt, kind, zero)
 
 
 @jit

@@ -66,29 +66,32 @@ def limits_of(
     warnings: tuple[str, ...] = ()
     if model.input_map.one_sided:  # squared: negative voltages of the records count too
         if high <= 0 > low:
-            warnings += ("the recordings have negative inputs alone, this one is positive: its negative does the same",)
+            warnings += (
+                "the recordings have only negative inputs, the planned input is positive; for a squared "
+                "input, its negative has the same effect",
+            )
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.domain.slew
     given = ((units.max_input, max_voltage), (units.max_rate, max_slew), (units.max_output, max_displacement))
     for name, value in given:
         if value is not None and not value > 0:
-            raise BadInput(f"{name} must be positive, got {value}")
+            raise BadInput(f"{name} must be positive, not {value}")
     if max_voltage == np.inf:
-        raise BadInput(f"{units.max_input} must be finite: give the amplifier's limit")
+        raise BadInput(f"{units.max_input} must be finite; give the amplifier's limit")
     if max_voltage is not None:
         bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
         high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
             warnings += (
-                f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, "
-                "the largest of the model's recordings",
+                f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, the "
+                "largest input in the model's recordings",
             )
     slew, farthest = trained_slew if max_slew is None else max_slew, max_displacement or np.inf
     low, high = min(low, 0.0), max(high, 0.0)
     if not low <= start_input <= high:
         raise BadInput(
-            f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}: "
-            f"raise {units.max_input}"
+            f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}; raise "
+            f"{units.max_input}"
         )
     return Limits(low, high, slew, farthest, start_input, units), warnings
 

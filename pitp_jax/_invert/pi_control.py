@@ -137,9 +137,12 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     known = [plant for plant in plants if plant is not None]
     margin, sensitivity = margins(known, p, i, dt)
     if len(known) < len(plants):
-        raise BadInput("no margin can be computed: the plant has no finite derivatives under this feedforward")
+        raise BadInput(
+            "the stability margin cannot be computed, because the plant has no finite derivatives under "
+            "this feedforward"
+        )
     if not jnp.isfinite(sensitivity):
         raise BadInput(
-            f"the loop with p = {p:.3g} and i = {i:.3g} is unstable on this plant (gain margin {margin:.3g}): "
-            "take smaller gains (`pi_gains` computes them from a model)"
+            f"the loop with p = {p:.3g} and i = {i:.3g} is unstable on this plant (gain margin {margin:.3g}); use "
+            "smaller gains (`pi_gains` computes them from a model)"
         )

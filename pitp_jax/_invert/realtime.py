@@ -111,7 +111,7 @@ def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
     """
     model = _refused(model_of(model), dt)
     if model.hold == "bandlimited":
-        raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
+        raise BadInput("a model with hold 'bandlimited' has no real-time step; identify with hold 'zoh' or 'foh'")
     model = at_rate(model, dt)
     fractions = stage_fractions(model)
 
@@ -167,7 +167,7 @@ def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) 
 @singledispatch
 def lag(drive: AbstractDrive) -> Array:
     """Return the time constant tau of u = V + tau V', s."""
-    raise BadInput(f"no real-time inverse of a {type(drive).__name__}")
+    raise BadInput(f"a {type(drive).__name__} has no real-time inverse")
 
 
 @lag.register
@@ -219,9 +219,9 @@ def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarra
 def _refused(model: Model, dt: float) -> Model:
     """Return the model, or refuse one that has no real-time step."""
     if model.effects:
-        raise BadInput("real-time steps are for models without effects")
+        raise BadInput("real-time steps only work for models without effects")
     if not dt > 0:
-        raise BadInput(f"dt must be positive, got {dt} s")
+        raise BadInput(f"dt must be positive, not {dt} s")
     return model
 
 

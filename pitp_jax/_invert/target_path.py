@@ -75,7 +75,7 @@ def at_rate_of_model(target: Target, dt: float) -> Target:
     pieces = int(np.ceil(target.dt / dt * (1 - _CLOSE)))
     count = pieces * (len(target.time) - 1) + 1
     if count > MOST:
-        raise BadInput(f"{count} samples at the model's rate; at most {MOST} are planned: shorten the target")
+        raise BadInput(f"the target has {count} samples at the model's rate, more than {MOST}; shorten it")
     time = np.linspace(target.time[0], target.time[-1], count)
     spline = make_interp_spline(target.time, target.displacement, k=3 if len(target.time) > 3 else 1)
     return replace(target, time=time, displacement=spline(time))

@@ -25,7 +25,7 @@ _TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one si
 
 
 _WAYS = {
-    "backlash width": "a second hinge in series, range +- half of it: one more body, a smaller timestep",
+    "backlash width": "a second hinge in series with a range of +- half of it (one more body, a smaller timestep)",
     "backlash rate": "damping of that second hinge over its inertia",
     "second_mode inertia": "a second body on a hinge with stiffness and damping",
     "second_mode spring": "stiffness of that second hinge",
@@ -36,8 +36,8 @@ _WAYS = {
     "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
-    "coulomb_friction mu": "none: frictionloss does not grow with the load",
-    "sensor_lag tau": "none on the sensor: filter qpos in your control loop",
+    "coulomb_friction mu": "none, because frictionloss does not grow with the load",
+    "sensor_lag tau": "none on the sensor; filter qpos in your control loop",
 }
 
 

@@ -95,7 +95,9 @@ def load_model(path: str | Path) -> Any:
     try:
         return mujoco_package().MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
-        raise BadInput(f"{cleaned(path)}: MuJoCo refuses it: {' '.join(str(error).split())}; mend the file") from None
+        raise BadInput(
+            f"{cleaned(path)}: MuJoCo rejects it: {' '.join(str(error).split())}; correct the file"
+        ) from None
 
 
 def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joint:
@@ -221,7 +223,7 @@ def _is_servo(mujoco: Any, model: Any, a: int, file: str) -> bool:
             return True
     name = model.actuator(a).name
     raise BadInput(
-        f"{file}: actuator {name!r} is neither a position servo nor a motor: its numbers cannot be told apart"
+        f"{file}: actuator {name!r} is not a position servo or a motor, so its parameters cannot be separated"
     )
 
 
@@ -234,8 +236,8 @@ def _joint_tag(document: Document, joint: str) -> Tag:
         if tag.name == "joint" and "worldbody" in tag.path and tag.attributes.get("name") == joint:
             return tag
     raise BadInput(
-        f"{cleaned(document.main)}: joint {joint!r} stands in no file as such (it is attached or replicated); "
-        "give the file that MuJoCo saves with mj_saveLastXML"
+        f"{cleaned(document.main)}: joint {joint!r} is not written in any file (it is attached or replicated); give "
+        "the file that MuJoCo saves with mj_saveLastXML"
     )
 
 
@@ -247,7 +249,10 @@ def _actuator_tag(document: Document, joint: str, name: str, which: int) -> Tag:
     named = [tag for tag in of_joint if name and tag.attributes.get("name") == name]
     if named or which < len(of_joint):
         return named[0] if named else of_joint[which]
-    raise BadInput(f"{cleaned(document.main)}: the actuator of joint {joint!r} stands in no file as such")
+    raise BadInput(
+        f"{cleaned(document.main)}: the actuator of joint {joint!r} is not written in any file; give the "
+        "file that MuJoCo saves with mj_saveLastXML"
+    )
 
 
 def _compiler(document: Document, attribute: str, default: str) -> str:

@@ -52,7 +52,7 @@ class Written:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
@@ -147,12 +147,12 @@ def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> lis
     seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
     if abs(seen - it.inertia) > _APART * it.inertia:
         said.append(
-            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}: "
-            "were they made with this file and this joint?"
+            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}. Check that "
+            "they were made with this file and this joint"
         )
     unit = base_unit(records[0].displacement_unit)
     if unit != ("rad" if it.hinge else "m"):
-        said.append(f"the recordings are in {unit}, MuJoCo counts in {'rad' if it.hinge else 'm'}: give --output-unit")
+        said.append(f"the recordings are in {unit}, MuJoCo uses {'rad' if it.hinge else 'm'}; give --output-unit")
     return said
 
 
@@ -204,7 +204,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
         for source in sorted(p for p in Path(kept).rglob("*") if p.is_file()):
             place = target.parent / source.relative_to(kept)
             if place.resolve() in {file.resolve() for file in texts}:
-                raise BadInput(f"{cleaned(place)}: is a file of the model itself; choose another folder")
+                raise BadInput(f"{cleaned(place)}: is a file of the original model; choose another folder")
             place.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomic(place, source.read_bytes())
     return target
@@ -220,5 +220,5 @@ def _within(file: Path, folder: Path) -> Path:
         return file.relative_to(folder)
     except ValueError:
         raise BadInput(
-            f"{cleaned(file)}: the include lies outside {cleaned(folder)}; put it into that folder"
+            f"{cleaned(file)}: the included file lies outside {cleaned(folder)}; put it into that folder"
         ) from None

@@ -54,7 +54,7 @@ class AbstractEncoder(eqx.Module):
 
 
 class ConstantEncoder(AbstractEncoder):
-    """Constant tokens: the identified linear model."""
+    """An encoder with constant tokens: the identified linear model."""
 
     outputs: int = eqx.field(static=True)
 

@@ -81,7 +81,7 @@ def model_of(given: Model | Fitted) -> Model:
     inside = isinstance(getattr(given, "model", None), Model)
     kind = type(given).__name__
     remedy = f"give its .model (the {kind} holds one)" if inside else "give pitp.load(FILE) or identify(...).model"
-    raise BadInput(f"a {kind} is no model: {remedy}")
+    raise BadInput(f"a {kind} is not a model; {remedy}")
 
 
 def fitted_of(given: Model | Fitted) -> Fitted:

@@ -211,7 +211,7 @@ def linear_model(
         5.03
     """
     if domain is None and dt is None:
-        raise BadInput("linear_model: give dt, the sampling interval in s")
+        raise BadInput("linear_model needs dt, the sampling interval in s")
     domain = Domain(number(dt)) if domain is None else domain
     coefficients, input_map = np.asarray(coefficients, np.float64), input_map or SquareInput()
     if force_scale is None:

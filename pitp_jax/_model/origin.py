@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .._record.excited import Table
 from .._record.long_record import LongRecord
 
 
@@ -41,6 +42,7 @@ class Origin:
         training: summary of the training, JSON values.
         adapted: one entry for every `adapt`: its records and the changed parameters.
         lineage: one entry for every step that made the model (`_model_file.lineage`), oldest first.
+        excited_input, excited_output: what excited the model (`_record.excited`), base units; empty where not known.
     """
 
     displacement_unit: str = "m"
@@ -57,3 +59,5 @@ class Origin:
     training: dict[str, Any] | None = None
     adapted: tuple[dict[str, Any], ...] = ()
     lineage: tuple[dict[str, Any], ...] = ()
+    excited_input: Table = ()
+    excited_output: Table = ()

@@ -128,12 +128,14 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     """
     start, sizes = parameters(model)
     if not len(start):
-        raise BadInput("the model has no trained numbers; give one of `pitp fit`")
+        raise BadInput("the model has no trained parameters; give a model that `pitp fit` wrote")
     dt = records[0].dt
     # a diverged run shows that the model fails there, but not by how much
     misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
     if not misses:
-        raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
+        raise BadInput(
+            "the model diverges on every recording; check that they are from this actuator, or train the model again"
+        )
     errors, taus = np.array(misses).T
     error = float(np.sqrt(np.mean(errors**2)))
     # an input that hardly moves the actuator gives only noise, even if the model predicts it well

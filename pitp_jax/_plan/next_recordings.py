@@ -50,12 +50,14 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
     ]
     if not kept:
         raise BadInput(
-            f"{limits.units.max_output} {limits.units.limit.text(limits.farthest)}: every drive is predicted to exceed "
-            f"it (the gentlest {limits.units.limit.text(reached.max(1).min(), 3)} with half the damping); lower "
-            f"{limits.units.max_input}"
+            f"{limits.units.max_output} {limits.units.limit.text(limits.farthest)}: every planned input is predicted "
+            f"to exceed it (the smallest reaches {limits.units.limit.text(reached.max(1).min(), 3)} with half the "
+            f"damping); lower {limits.units.max_input}"
         )
     out = len(drives) - len(kept)
-    return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()
+    return kept, (
+        f"{out} of {len(drives)} inputs left out, because their predicted stroke exceeds the limit",
+    ) if out else ()
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
@@ -68,7 +70,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
     count = int(length / one * (1 + 1e-9))
     if count < 1:
-        raise BadInput(f"--duration {length:g} s is too short: one recording takes {limits.shortest:.3g} s")
+        raise BadInput(f"--duration {length:g} s is too short; one recording takes {limits.shortest:.3g} s")
     points = space_filling(_CANDIDATES * POINTS, limits, seed)
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)

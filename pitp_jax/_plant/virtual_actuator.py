@@ -82,7 +82,7 @@ def plant(name: str) -> Plant:
         5000.0
     """
     if name not in _PLANTS:
-        raise ValueError(f"no virtual actuator {name!r}; there are {', '.join(_PLANTS)}")
+        raise ValueError(f"unknown virtual actuator {name!r}; use one of {', '.join(_PLANTS)}")
     return _PLANTS[name]
 
 
@@ -123,7 +123,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     # beyond it the Gent spring would change its sign and the motion would be meaningless; nan fails too
     if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
-            f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
+            f"{plant.name} moved beyond the range of its spring; keep the voltage below {plant.max_voltage:g} V"
         )
     return x.reshape(voltage.shape)
 
@@ -202,4 +202,4 @@ def _interval(time, voltage) -> float:
 def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
     """Refuse an unknown option."""
     if value not in known:
-        raise ValueError(f"no {what} {value!r}; there are {', '.join(known)}")
+        raise ValueError(f"unknown {what} {value!r}; use one of {', '.join(known)}")

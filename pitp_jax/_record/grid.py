@@ -137,12 +137,12 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
     if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
         at = int(np.argmax(np.diff(rows.time) == 0)) + 1
         raise BadInput(
-            f"{source}: column {column!r}, {place(at)}: time repeats, and so it does in most rows; give --rate HZ"
+            f"{source}: column {column!r}, {place(at)}: most rows repeat the time of the row before; give --rate HZ"
         )
     if evenness(single) > _CONTRADICTED:
         raise BadInput(
-            f"{source}: column {column!r}: the time is not uniform, but input and output continue from row to row as "
-            "if they were sampled evenly; give --rate HZ"
+            f"{source}: column {column!r}: the time is not uniform, but input and output are smooth from row to row, "
+            "as if sampled evenly; give --rate HZ"
         )
     return single
 
@@ -237,8 +237,8 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
     dropped = count - sum(part.stop - part.start for part in kept)
     if 2 * dropped > count or not kept:
         raise BadInput(
-            f"{source}: column {column!r}: split at its {len(cuts)} gaps less than half of the rows are in stretches "
-            f"of {MIN_SAMPLES} samples; record without gaps"
+            f"{source}: column {column!r}: {len(cuts)} gaps leave less than half of the rows in pieces of at least "
+            f"{MIN_SAMPLES} samples; record without gaps"
         )
     return kept, dropped
 
@@ -299,14 +299,14 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
     ends, bridged = (float(steps.min()), float(steps.max())), sum(count for _, count in made)
     if 2 * bridged > sum(len(piece.time) for piece, _ in made):
         raise BadInput(
-            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too uneven to resample; "
+            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too irregular to resample; "
             "give --rate HZ if the rows were sampled evenly"
         )
     return Gridded(tuple(piece for piece, _ in made), 0.0, rows, dropped, steps=ends, bridged=bridged)
 
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
-    """Return one stretch at steps of dt, and how many output samples are masked in gaps of the output."""
+    """Return one stretch interpolated at steps of dt, and the number of output samples masked in gaps."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)

@@ -90,10 +90,13 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
         for r, w, d in zip(records, ranges, drives, strict=True)
     ]
     if not any(moves):
-        raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
+        raise BadInput(
+            f"{records[0].source or records[0].name}: no recording shows motion beyond its noise; record "
+            "the actuator under a changing input"
+        )
     still = [r.name for r, one in zip(records, moves, strict=True) if not one]
     moving = [r for r, one in zip(records, moves, strict=True) if one]
-    return moving, (f"left out, since they do not move beyond their noise: {', '.join(still)}",) if still else ()
+    return moving, (f"left out, because they show no motion beyond their noise: {', '.join(still)}",) if still else ()
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:

@@ -92,5 +92,5 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
-    """Low-pass about the line between the ends; otherwise a sensor offset of 50 mm would read 26 mm at either end."""
+    """Low-pass a signal about the line between its ends, because an offset would distort both ends."""
     return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")

@@ -76,7 +76,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
     scale = sum(float(np.sum(np.square(force, dtype=np.float64))) for force in forces)
     # rounding of a constant force leaves some energy
     if not energy.sum() > 1e-20 * scale:
-        raise BadInput("the drive never changes in any of these records; give records with an excitation")
+        raise BadInput("the input never changes in these recordings; give recordings with an excitation")
     # records of other lengths have other frequencies: merged, then summed
     order = np.argsort(frequency, kind="stable")
     total = np.cumsum(energy[order])

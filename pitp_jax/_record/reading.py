@@ -134,7 +134,7 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
     strange = [name for name in said if name not in ReadOptions.__dataclass_fields__]
     if strange:
         raise BadInput(
-            f"{strange[0]!r} is no option of reading; they are {', '.join(ReadOptions.__dataclass_fields__)}"
+            f"{strange[0]!r} is not an option of reading; the options are {', '.join(ReadOptions.__dataclass_fields__)}"
         )
     files = said.get("join")
     if files is not None:
@@ -257,7 +257,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     options = options_of({**said, "output_column": output_column})
     loaded = load_columns(path, options, ("time", "displacement"))
     if len(loaded) > 1:
-        raise BadInput(f"{cleaned(path)}: {len(loaded)} parts; give one target file")
+        raise BadInput(f"{cleaned(path)}: holds {len(loaded)} recordings; give one target file")
     one = select_range(loaded[0])
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
@@ -273,14 +273,14 @@ def _existing(path: str | os.PathLike) -> Path:
         made = Path(path)
     except TypeError:
         raise BadInput(
-            f"{path!r}: a {type(path).__name__} is no path; give files and folders one by one, as text"
+            f"{path!r}: a {type(path).__name__} is not a path; give files and folders one by one, as text"
         ) from None
     try:
         os.stat(made)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
             raise BadInput(f"{cleaned(made)}: no such file or folder; check the path") from None
-        raise BadInput(f"{cleaned(made)!r}: not a usable path ({cleaned(error)}); check it") from None
+        raise BadInput(f"{cleaned(made)!r}: not a usable path ({cleaned(error)}); correct it") from None
     return made
 
 
@@ -300,7 +300,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
         BadInput: none given, one that does not exist, a folder without any.
     """
     if not paths:
-        raise BadInput("no records given; name at least one file or folder")
+        raise BadInput("no recordings given; give at least one file or folder")
     files: list[Path] = []
     for path in map(_existing, _unfolded(paths)):
         if not path.is_dir() or is_bag(path):
@@ -310,13 +310,14 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             inside = sorted(path.iterdir())
         except OSError as error:
             raise BadInput(
-                f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its rights"
+                f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its access rights"
             ) from None
         # read-mes and pictures beside the recordings are not records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
             raise BadInput(
-                f"{cleaned(path)}: no record files in this folder (folders do not recurse); name the one with files"
+                f"{cleaned(path)}: no recording files in this folder (subfolders are not searched); give the folder "
+                "that holds the files"
             )
         files.extend(inside)
     return files
@@ -346,10 +347,10 @@ def names_of(files: Sequence[Path]) -> list[str]:
             same = [k for k, other in enumerate(names) if other == name]
             first, second = same[:2]
             if real[first] == real[second]:
-                raise BadInput(f"{cleaned(files[second])}: given twice; name each record once")
+                raise BadInput(f"{cleaned(files[second])}: given twice; give each recording once")
             if real[first].parent == real[second].parent:
                 raise BadInput(
-                    f"{cleaned(files[second])}: has the same record name {name!r} as {cleaned(files[first])}; "
+                    f"{cleaned(files[second])}: gives the same recording name {name!r} as {cleaned(files[first])}; "
                     "rename one of the two"
                 )
             for k in same:
@@ -435,7 +436,7 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
     notes = questions(masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
-        notes.append(f"split at its gaps into {len(put.pieces)} records")
+        notes.append(f"split at its gaps into {len(put.pieces)} recordings")
     seen = [
         Remark("input_turns", name, masked.turns[0]),
         Remark("output_turns", name, masked.turns[1]),

@@ -29,11 +29,11 @@ def own_column(values: Any, what: str) -> np.ndarray:
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     if values.dtype.kind == "c":
-        raise BadInput(f"{what} holds complex numbers: give its real part")
+        raise BadInput(f"{what} holds complex numbers; give real ones")
     try:
         column = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadInput(f"{what} does not hold numbers: give an array of them") from None
+        raise BadInput(f"{what} does not hold numbers; give an array of numbers") from None
     column.setflags(write=False)
     return column
 
@@ -90,7 +90,7 @@ class Record(Timed):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
         for unit in (self.voltage_unit, self.displacement_unit):
             if unit not in INPUT_UNITS:
-                raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")
+                raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; give one of {', '.join(INPUT_UNITS)}")
         source = cleaned(self.source) or f"record {self.name!r}"  # a path is stored unchanged, but printed cleaned
         check_samples(self.time, self.voltage, self.displacement, source)
 

@@ -73,7 +73,7 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
     kinds = [f"{OPTIONS[q]} {one.words(q)}" for q in one.chosen]
     remarks = [f"{label}: {one.table.form}; {', '.join(kinds)}"]
     if (output := _output(one.table, one.options)) is not None:
-        remarks.append(f"{label}: column {output!r} is a measurement and ignored")
+        remarks.append(f"{label}: column {output!r} is a measurement and was ignored")
     remarks += [f"{label}: {remark}" for remark in clock_remarks(label, put)]
     ends, unit = ("",) if len(put.pieces) == 1 else [f".{k + 1}" for k in range(len(put.pieces))], one.unit("voltage")
     return [

@@ -106,7 +106,7 @@ def over(values: np.ndarray) -> dict:
 def shown(unit: str, *signals) -> list[np.ndarray]:
     """Return signals in the unit shown; refuse an unknown unit and unequal lengths."""
     if unit not in _UNITS:
-        raise ValueError(f"no output unit {unit!r}; there are {', '.join(_UNITS)}")
+        raise ValueError(f"unknown output unit {unit!r}; use one of {', '.join(_UNITS)}")
     arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
     same_length(*arrays)
     return arrays
@@ -126,7 +126,7 @@ def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
 def same_length(*arrays: np.ndarray) -> None:
     """Refuse signals that are not all (T,) with one T."""
     if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
-        raise ValueError(f"signals must be (T,), all of one length; got {[a.shape for a in arrays]}")
+        raise ValueError(f"signals must have shape (T,) and one length, not {[a.shape for a in arrays]}")
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
@@ -148,7 +148,7 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
         figure.align_ylabels(axes)
     axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
     if len(axes) != rows:
-        raise ValueError(f"this figure needs {rows} axes, got {len(axes)}")
+        raise ValueError(f"this figure needs {rows} axes, not {len(axes)}")
     return axes
 
 

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from .._model.coordinate import from_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .batched_rollout import free_runs
 from .decoder import rest_state
 
@@ -40,7 +40,7 @@ def free_run(
         ((200,), (200,))
     """
     model = model_of(model)
-    return _free_run(model, jnp.asarray(voltage, model.coefficients.dtype), model.dt, state)
+    return _free_run(model, signal(voltage, model.coefficients.dtype, "voltage"), model.dt, state)
 
 
 @jit

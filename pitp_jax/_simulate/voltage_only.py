@@ -62,11 +62,11 @@ def _checked(voltage, dt, begins) -> np.ndarray:
     except (TypeError, ValueError):
         raise BadInput(f"voltage is a {type(voltage).__name__}, not an array of numbers (V)") from None
     if drive.ndim not in (1, 2) or drive.shape[-1] < 2:
-        problems.append(f"voltage has shape {drive.shape}: give (T,) or (runs, T), T at least 2")
+        problems.append(f"voltage has shape {drive.shape}; give (T,) or (runs, T), T at least 2")
     elif not np.isfinite(drive).all():
         problems.append("voltage holds values that are missing or infinite")
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not np.isfinite(dt) or dt <= 0:
-        problems.append(f"dt {dt!r} is no positive number of seconds")
+        problems.append(f"dt {dt!r} is not a positive number of seconds")
     if begins not in (None, "rest", "held"):
         problems.append(f"begins {begins!r} is not 'rest' or 'held'")
     if problems:

@@ -129,7 +129,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
                 for word in (f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit)
             ]
             raise Refused(
-                table.source, f"may be read in two ways ({table.form}): {two[0]}; or ({other.form}): {two[1]}", words
+                table.source, f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words
             )
     return table, chosen
 
@@ -161,7 +161,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     if "voltage" in chosen and "time" in chosen:
         loaded, rows, fraction = hold_sparse(loaded)
         if rows is not None:
-            note = f"in {100 * fraction:.2g} % of the rows, held between them"
+            note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
             voltage = chosen["voltage"]
             note = f"{voltage.note}; {note}" if voltage.note else note
             chosen = chosen | {"voltage": replace(voltage, note=note)}
@@ -200,8 +200,8 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         assert rate is not None
         if 0 < table.blanks < count / 2:
             raise BadInput(
-                f"{source}: {table.blanks} empty lines among the rows of a file without a clock: were samples lost "
-                "there? split it"
+                f"{source}: {table.blanks} empty lines between the rows of a file without a clock; split the file "
+                "there if samples were lost"
             )
         loaded["time"] = np.arange(count) / rate
         return choice
@@ -259,7 +259,8 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
         raise BadInput(
-            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose one that counts runs"
+            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose a column that numbers the "
+            "runs"
         )
     parts = []
     for label in first:

@@ -58,7 +58,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
 
 
 def _held(written: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the held input at the times of rows: its mean to the next row if both clocks increase."""
+    """Return the held input of every row: its mean up to the next row if both clocks increase."""
     if (np.diff(time) > 0).all() and (np.diff(written) > 0).all():
         ends = np.append(time, 2 * time[-1] - time[-2])
         return mean_of_held(written, values, ends)

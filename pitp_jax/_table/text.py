@@ -104,7 +104,11 @@ def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
         comma = _DECIMAL.search(body) and not re.search(rb"\d\.\d", body)
         return replace(layout, decimal=",") if comma else layout
     if not _DECIMAL.search(body):
-        raise Refused(source, "every comma has three digits behind it: decimals or thousands?", ["--decimal", ","])
+        raise Refused(
+            source,
+            "every comma has three digits after it, so it may be a decimal or a thousands separator",
+            ["--decimal", ","],
+        )
     return layout
 
 
@@ -139,10 +143,10 @@ def _text(path: Path, source: str) -> bytes:
     zipped = data.startswith(b"\x1f\x8b")
     if path.name.lower().endswith(".gz"):
         if not zipped:
-            raise BadInput(f"{source}: is not gzip as its suffix says; drop .gz from its name if it is plain text")
+            raise BadInput(f"{source}: is not a gzip file although its name ends in .gz; rename it if it is plain text")
         data = gunzip(data, source)
     elif zipped:
-        raise BadInput(f"{source}: is gzip, not text as its suffix says; rename it to end in .gz")
+        raise BadInput(f"{source}: is a gzip file although its suffix is one of text; rename it to end in .gz")
     if data.startswith((b"\xff\xfe", b"\xfe\xff")):
         wide = "utf-16"
     # every second byte is zero: UTF-16 of plain text without its mark
@@ -163,7 +167,7 @@ def _text(path: Path, source: str) -> bytes:
         data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
-        raise BadInput(f"{source}: line {bad}: not UTF-8 text as its suffix says (control characters); save it as CSV")
+        raise BadInput(f"{source}: line {bad}: control characters in a text file; save it as CSV")
     return data
 
 
@@ -191,7 +195,7 @@ def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
         try:
             head.decode(options.encoding)
         except UnicodeError:
-            raise BadInput(f"{source}: is not {options.encoding}; give another --encoding") from None
+            raise BadInput(f"{source}: is not encoded as {options.encoding}; give another --encoding") from None
         return [options.encoding]
     fitting = []
     for encoding in ("utf-8", *_ENCODINGS):
@@ -213,7 +217,7 @@ def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
         stop, number = data.find(b"\n", begin, begin + _LONGEST), number + 1
         if stop < 0:
             if len(data) - begin > _LONGEST:
-                raise BadInput(f"{source}: line {number}: a line of unreasonable length; save it as plain CSV")
+                raise BadInput(f"{source}: line {number}: the line is too long; save the file as plain CSV")
             stop = len(data)
         if data[begin:stop].strip():
             spans.append((begin, stop, number))
@@ -428,12 +432,14 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
             if len(row) != width and not (len(row) == width - 1 and not layout.columns[-1].name):
                 short = layout.columns[len(row)].name if len(row) < width else layout.columns[-1].name
                 raise BadInput(
-                    f"{source}: column {short!r}, {place(len(values))}: {len(row)} cells where the others have "
-                    f"{width}; correct the line or --separator"
+                    f"{source}: column {short!r}, {place(len(values))}: {len(row)} cells, but {width} in the other "
+                    "rows; correct the line or --separator"
                 )
             values.append([row[k].strip() if k < len(row) else "" for k in places])
     except csv.Error as error:
-        raise BadInput(f"{source}: sample {len(values)}: not readable as CSV ({error}); save it as plain CSV") from None
+        raise BadInput(
+            f"{source}: sample {len(values)}: cannot be read as CSV ({error}); save it as plain CSV"
+        ) from None
     columns = list(zip(*values, strict=True)) or [()] * len(places)
     return [numbers_of(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
 
@@ -450,8 +456,8 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place:
             return seconds(cells)
         except (ValueError, OverflowError) as error:
             raise BadInput(
-                f"{source}: column {column.name!r}: not readable as dates and hours ({cleaned(error)[:60]}); give "
-                "seconds, or --rate HZ"
+                f"{source}: column {column.name!r}: cannot be read as dates and hours ({cleaned(error)[:60]}); write "
+                "seconds, or give --rate HZ"
             ) from None
     if column.form == "duration" and column.beside:
         cells = [cell.removesuffix(column.beside).strip() for cell in cells]
@@ -459,7 +465,7 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place:
         if not is_number(cell, layout.decimal):
             shown = cleaned(cell if len(cell) <= 20 else cell[:20] + "...")
             raise BadInput(
-                f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} where a number belongs; write a "
+                f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
                 "number (leave a missing output empty)"
             )
     plain = str.maketrans("Dd,", "Ee.") if layout.decimal == "," else str.maketrans("Dd", "Ee")  # Fortran's 1.0D-3

@@ -66,7 +66,7 @@ def cross_validate(
     """
     moving, _ = in_motion(records)  # any model predicts a still record
     if len(moving) < 2:
-        raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
+        raise BadInput("cross-validation leaves out one recording at a time; give at least two recordings with motion")
     fitted = errors(model, moving)
     return tuple(
         _held_out(nominal, moving, k, float(fitted[k]), lambda r: train(*r, key=key, **options))

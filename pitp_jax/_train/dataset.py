@@ -68,7 +68,10 @@ def build_dataset(
         for r, f in zip(records, forces, strict=True)
     ]
     if not any(s.valid.any() for s in states):
-        raise BadInput("no sample of these records survives filtering: gaps are too dense or records too short")
+        raise BadInput(
+            "no sample of these recordings remains after filtering, because they are too short or have too "
+            "many gaps; record longer ones"
+        )
     model = _rescaled(nominal, states, forces, f_max, scaling)
     model = eqx.tree_at(lambda m: m.memory, model, memory(states))
     scale = model.scales.state

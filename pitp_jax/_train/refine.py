@@ -110,7 +110,7 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
     costs, began = [], time.monotonic()
     for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, parameters(model)[0])):
         if not np.isfinite(cost):
-            raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
+            raise ComputationFailed("the free runs diverged before refinement; check the recordings for spikes")
         costs.append(cost)
         remaining = (time.monotonic() - began) / (k + 1) * (count - k)
         how.report(stage, k, count, cost, min(costs), remaining)
@@ -189,7 +189,7 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """Return the length (samples) of the longest free run: the longest record, if all or some such fit the budget."""
+    """Return the length of the longest free run, samples: the longest record, or less if the budget requires it."""
     longest = max(r.samples for r in records)
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
     return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))

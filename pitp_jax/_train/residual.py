@@ -17,7 +17,7 @@ from .._invert.motion import equation_of, features_of, motion_along
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .._record.preprocess import BUTTERWORTH_ORDER, ENERGY_FRACTION, SETTLING
 from .._simulate import ports
 from .._simulate.decoder import scaled_force
@@ -57,7 +57,8 @@ def residual(
         True
     """
     model = model_of(model)
-    u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
+    dtype = model.coefficients.dtype
+    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
     return _measured(model, u, x, model.dt, cutoff_hz, zero)[0]
 
 
@@ -90,7 +91,8 @@ def residual_loss(
         True
     """
     model = model_of(model)
-    u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
+    dtype = model.coefficients.dtype
+    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
     return _loss(model, u, x, model.dt, cutoff_hz, zero, box, width, penalty)
 
 

@@ -76,7 +76,7 @@ class _Rows(NamedTuple):
     weight: np.ndarray
 
     def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        """Return one column (or several) of all records in sequence."""
+        """Return values of the used samples of all records in sequence; `column` takes them from one record."""
         return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
 
     @property

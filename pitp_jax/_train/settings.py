@@ -103,10 +103,10 @@ class Settings:
         """Refuse unknown words, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
-                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
+                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
         for part in self.parts:
             if part not in PARTS:
-                raise BadInput(f"settings: part {part!r} is unknown: use {' or '.join(PARTS)}")
+                raise BadInput(f"settings: part {part!r} is unknown; use {' or '.join(PARTS)}")
 
 
 PRESETS = {
@@ -121,7 +121,7 @@ PRESETS = {
 def preset_of(name: str) -> Settings:
     """Return the preset of that name; refuse an unknown one."""
     if name not in PRESETS:
-        raise BadInput(f"unknown preset {name!r}: use one of {', '.join(PRESETS)}")
+        raise BadInput(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}")
     return PRESETS[name]
 
 

@@ -22,6 +22,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Model
@@ -124,7 +125,7 @@ def train(
     settings = _settings_for(encoder, preset_of(preset) if settings is None else settings)
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
-        raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
+        raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
     seen, motionless = in_motion(records)
     parent = fitted_of(nominal)
     many = sum(r.samples for r in seen) > BUDGET
@@ -147,7 +148,7 @@ def train(
             raise
         interrupted = True  # the best model so far is returned after an interrupt, and marked as interrupted
     if best is None:
-        raise BadInput("settings allow no training stage: set stages to 1 or more")
+        raise BadInput("settings: no training stage; set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
     if records[0].dt != seen[0].dt:  # trained on block means, but judged on the original records
         chosen = judge(parent, seen)(chosen.model.sampled(seen[0].dt, parent.hold))
@@ -160,6 +161,7 @@ def train(
     domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
     # With an encoder, the origin's statements on the coefficients no longer describe the model.
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
@@ -169,7 +171,7 @@ def _settings_for(encoder, settings: Settings) -> Settings:
     if encoder is not None:
         return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
     if settings.encoder == "own":
-        raise BadInput("settings: encoder 'own' needs the encoder itself: give train(..., encoder=MODULE)")
+        raise BadInput("settings: encoder 'own' needs your encoder; give train(..., encoder=MODULE)")
     return settings
 
 

@@ -161,7 +161,7 @@ def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, qu
     assert code == 0
     assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])
     assert quick_identify[0][1] | {"order": 2, "input_map": "square"} == quick_identify[0][1]
-    assert ("1 record (sweep)" if found else "no record is a sweep") in err
+    assert ("1 recording (sweep)" if found else "no recording is a sweep") in err
     assert trainer.calls[0][1] == ["sine2", "sine4", "sweep"]
 
 
