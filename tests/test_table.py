@@ -25,9 +25,13 @@ _PINT = {"rev": "turn", "deg/s": "degree/second", "N m": "newton*meter", "mN m":
 _PINT |= {"counts": "count", "h": "hour", "d": "day", "min": "minute"}
 
 
+@pytest.fixture(scope="module")
+def registry():
+    return pint.UnitRegistry()
+
+
 @pytest.mark.parametrize("unit", [*TIME_UNITS, *INPUT_UNITS])
-def test_every_factor_is_pints(unit):
-    registry = pint.UnitRegistry()
+def test_every_factor_is_pints(unit, registry):
     name, base = (_PINT.get(u, u) for u in (unit, base_unit(unit)))
     assert to_base(1.0, unit) == pytest.approx(registry.Quantity(1.0, name).to(base).magnitude, rel=1e-14)
     assert from_base(to_base(2.5, unit), unit) == pytest.approx(2.5, rel=1e-15)

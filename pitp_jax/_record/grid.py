@@ -159,7 +159,8 @@ def _grid(rows: Rows) -> _Line | None:
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # 2.0 usual steps: one sample was lost
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
-    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if moves.sum() < 2**53 else [index]
+    lost = len(steps) < moves.sum() < 2**53
+    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if lost else [index]
     # One row lost in the middle of a long record stays within half a sample of a straight line, so both are tried.
     lines = [_fitted(trial, time) for trial in trials]
     fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]

@@ -127,15 +127,17 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
         count = len(y) - run - 5
         if count <= 0:
             break
-        # three samples before the run and three after it, for every place at once
-        a, b, c, d, e, f = (y[k : k + count] for k in (0, 1, 2, run + 3, run + 4, run + 5))
+        # only where the first sample of the run is that far off its chord: few places
+        before, after = y[2 : 2 + count], y[run + 3 : run + 3 + count]
+        at = np.flatnonzero(np.abs(y[3 : 3 + count] - before - (after - before) / (run + 1)) > _FAR * step)
+        # three samples before the run and three after it, for every such place at once
+        a, b, c, d, e, f = (y[at + k] for k in (0, 1, 2, run + 3, run + 4, run + 5))
         local = np.maximum.reduce([np.abs(p - q) for p, q in ((a, b), (b, c), (c, d), (d, e), (e, f))])
         bound = _FAR * np.maximum(local, step)
-        off = [y[3 + k : 3 + k + count] - c - (d - c) * (k + 1) / (run + 1) for k in range(run)]
-        far = np.minimum.reduce(off) > bound
-        far |= np.maximum.reduce(off) < -bound
+        off = [y[at + 3 + k] - c - (d - c) * (k + 1) / (run + 1) for k in range(run)]
+        far = (np.minimum.reduce(off) > bound) | (np.maximum.reduce(off) < -bound)
         for k in range(run):
-            bad[3 + k : 3 + k + count] |= far
+            bad[at[far] + 3 + k] = True
     return bad
 
 
@@ -186,9 +188,12 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
         dropouts, possible stiction: True at their samples, shape (T,).
     """
     bad, kept, swing = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool), np.ptp(drive)
+    runs = _runs(y, _LONGEST_SPIKE + 1)
+    if not runs:
+        return bad, kept
     # when the input jumps at the end of a run, the settled machine responds late
     noise = 6 * noise_std(drive)
-    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
+    runs = [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
     inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
         # steps within the runs do not characterise the sensor elsewhere

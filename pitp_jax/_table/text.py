@@ -35,6 +35,7 @@ _CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines searched for names with line breaks in quotes
 _KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
@@ -131,7 +132,8 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
     parts += ["a date above the table ignored"] if _DATE.search(data[:start]) else []
-    blanks = data[start:].strip(b"\n").count(b"\n\n")
+    # looked for line by line only where a row could have been left out
+    blanks = data[start:].strip(b"\n").count(b"\n\n") if len(body) < len(data) - start - 1 else 0
     form = ", ".join((*parts, *layout.notes))
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
 
@@ -362,9 +364,16 @@ def _is_row(line: bytes, separator: str) -> bool:
     return bool(line.strip()) and not line.startswith(_MARKS)
 
 
+def _first_bytes(body: bytes) -> np.ndarray:
+    """Return the first byte of every line but the first."""
+    codes = np.frombuffer(body, dtype=np.uint8)
+    return codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1]
+
+
 def _rows_only(body: bytes, layout: Layout) -> bytes:
     """Return the text without comment lines, blank lines, and empty rows at its end."""
-    if b"\n\n" in body or b"\n " in body or any(b"\n" + mark in body for mark in _MARKS):
+    # one pass over the lines: a search for each mark took a ninth of the reading of a long file
+    if np.isin(_first_bytes(body), _NO_ROW).any():
         body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
     # rows of separators alone, which a spreadsheet leaves below its data
     kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
@@ -386,8 +395,8 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
         frame = pd.read_csv(
             io.BytesIO(body), header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
             sep=r"\s+" if layout.separator == " " else layout.separator, decimal=layout.decimal, encoding=encoding,
-            dtype={k: str if k in words else np.float64 for k in places}, skipinitialspace=True,
-            low_memory=False, index_col=False, skip_blank_lines=False,
+            dtype={k: str if k in words else np.float64 for k in places}, index_col=False, skip_blank_lines=False,
+            skipinitialspace=b" " in body or b"\t" in body,
         )  # fmt: skip
         columns = [frame[k] for k in places]
         if any(layout.columns[k].form == "duration" for k in words):
