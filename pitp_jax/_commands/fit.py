@@ -15,6 +15,7 @@ from .._record.writing import write_text_atomic
 from .._report.description import describe, fallback_line, in_words, sensor_line
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
+from .._train.cross_validation import with_left_out
 from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_belongs
@@ -92,6 +93,7 @@ def fit(
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
         anew = given or (lambda some: identified(some).model)
         held_out = run_cross_validate(anew, read_in, done.model, progress=ProgressBar().update, **how)
+        save(out, with_left_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")

@@ -7,6 +7,9 @@ from .._invert.feedforward_plan import Feedforward, feedforward
 from .._invert.playback import at_faster_rate, at_slower_rate
 from .._invert.target_path import at_rate_of_model
 from .._model.coordinate import Zero
+from .._model.coverage import WORTH_A_LINE
+from .._model.expected_error import expected_error
+from .._model.fitted import Fitted
 from .._model.units import units_of
 from .._model_file.model_file import load
 from .._record.reading import read_target
@@ -84,6 +87,7 @@ def invert(
     with staged(file=out, json_file=json_file, value=result) as stage:
         write_csv(stage, columns)
     _summarise(planned, out, played, input_scale)
+    _expect(loaded, planned)
     if planned.limits:
         print(f"limits: {planned.limits}")
 
@@ -103,6 +107,14 @@ def _unit_to_write(unit: str | None, units: Units) -> Quantity:
             f"{', '.join(units_of_kind(units.input.unit))}"
         )
     return Quantity(known)
+
+
+def _expect(model: Fitted, planned: Feedforward) -> None:
+    """Print the tracking error to expect; where the target is not covered, that no figure is known."""
+    if planned.outside_training_share > WORTH_A_LINE:
+        print("expected tracking error: no figure is known, because the model was not trained with this target")
+    elif expected := expected_error(model, planned.wanted):
+        print(f"expected tracking error: {number(expected.percent, 2)} % of range ({expected.source})")
 
 
 def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: float) -> None:

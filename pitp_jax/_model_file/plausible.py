@@ -77,6 +77,9 @@ def _history(origin: dict) -> dict[str, bool]:
         ),
         "names of records that are no text": all(isinstance(name, str) for name in names),
         "seconds that are no number": all(isinstance(number, (int, float)) for number in numbers),
+        "errors of recordings left out that are no numbers": all(
+            e is None or (math.isfinite(e) and e >= 0) for e in (training.get("left_out_errors") or {}).values()
+        ),
         "stages that are no table": all(isinstance(stage, dict) for stage in training.get("history", ())),
         "changes without factor and interval": all(
             math.isfinite(c["factor"]) and all(map(math.isfinite, c["ci95"])) and len(c["ci95"]) == 2 for c in changes

@@ -6,8 +6,9 @@ If fitted and predicted errors are similar, the records describe the actuator. I
 than fitted, either it contains something that no other record does, or the model has learned the records instead.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .._errors import BadInput, ComputationFailed
 from .._model.fitted import Fitted
@@ -37,6 +38,13 @@ class HeldOut:
         """Return whether the prediction error exceeds ten times the fitted error."""
         # not <= instead of >, because nan is suspect too
         return not self.predicted <= _WORSE * self.fitted
+
+
+def with_left_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
+    """Keep the errors of the recordings left out in the model's origin, % of range; None where there is no model."""
+    errors = {h.name: h.predicted if math.isfinite(h.predicted) else None for h in held_out}
+    training = {**(model.origin.training or {}), "left_out_errors": errors}
+    return Fitted(model.model, replace(model.origin, training=training))
 
 
 def cross_validate(
