@@ -24,7 +24,7 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
     """
     jax = sys.modules.get("jax")  # if JAX is not loaded, nothing is traced
     if jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
-        raise BadInput(f"{name} cannot be traced (jit, vmap, grad): use {instead} there")
+        raise BadInput(f"{name} cannot be traced by jit, vmap or grad; use {instead} instead")
 
 
 def cleaned(text: object) -> str:

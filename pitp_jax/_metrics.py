@@ -30,7 +30,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
         mask: True where a sample counts, shape (T,); None for all.
 
     Returns:
-        the error; inf where a counted prediction is not finite, nan where no sample counts.
+        the error; inf if a counted prediction is not finite, nan if no sample counts.
 
     Raises:
         IndexError: shapes that differ.
@@ -77,8 +77,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
     """Compute the RMS error in percent of the measured standard deviation.
 
     Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
-        mean scores 100. nan
-    where that is zero. Arguments as for `rmse`.
+    mean scores 100. nan where that is zero. Arguments as for `rmse`.
 
     Args:
         predicted, measured, mask: as for `rmse`.

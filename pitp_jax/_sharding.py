@@ -31,7 +31,7 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
     """Return a mesh that is a line of devices, by default all of all processes.
 
     Args:
-        devices: in order; None takes all of all processes.
+        devices: in order; None takes all devices of all processes.
 
     Returns:
         a mesh with one axis, the records.
@@ -46,12 +46,14 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
 def spread(batch, mesh: Mesh):
     """Put this process's records (leading axis of every array) on its devices, padded with copies of the last one.
 
-    Every process brings equally many.
+    Every process passes the same number of records.
     """
     leaves = [np.asarray(leaf) for leaf in jax.tree.leaves(batch)]
     count, devices = len(leaves[0]), len(mesh.local_devices)
     if count == 0 or any(len(leaf) != count for leaf in leaves):
-        raise BadInput(f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot go side by side")
+        raise BadInput(
+            f"arrays of {sorted({len(leaf) for leaf in leaves})} records cannot be stacked; give one number of records"
+        )
     # the leading axis is divided among the devices, all others stay whole
     placed = NamedSharding(mesh, PartitionSpec(_AXIS))
 
@@ -72,7 +74,7 @@ def local_rows(array: Array, count: int) -> np.ndarray:
 
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """Run function(model, *batch) on every device's own records, side by side."""
+    """Run function(model, *batch) on every device's own records, in parallel."""
     # `shard_map` takes only arrays; static values are in the function
     arrays, static = eqx.partition(model, eqx.is_array)
 

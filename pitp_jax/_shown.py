@@ -25,7 +25,7 @@ def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
 class Shown:
     """A frozen dataclass that a terminal and a notebook can show; `_rows` is its table.
 
-    `@dataclass(repr=False)` takes the repr from here: one line per field, arrays by their size and range.
+    `@dataclass(repr=False)` inherits this repr: one line per field, arrays by their size and range.
     """
 
     def _rows(self) -> Any:

@@ -29,7 +29,7 @@ from ._errors import BadInput, ComputationFailed
 if TYPE_CHECKING:
     from ._commands.amounts import Amount
 
-_RECORDS = "record files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
+_RECORDS = "recordings: files (text, .xlsx, .mat, .npz, .h5, .tdms, .parquet, .mcap, rosbag2) and folders of them"
 _READING = "reading:"  # before names of reading options: invert has its own --rate and --input-scale
 # In names from files, control characters could move the cursor, and direction marks reverse a line.
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
@@ -71,7 +71,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one `pitp` command.
 
     Args:
-        argv: arguments after the program's name; None takes those of the process.
+        argv: arguments after the program's name; None takes the process's own.
 
     Returns:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
@@ -137,11 +137,11 @@ def _explain(error: Exception) -> tuple[int, str]:
         return 3, text
     if isinstance(error, OSError):
         where = f"{error.filename}: " if error.filename else ""
-        return 2, f"{where}{error.strerror or text}; check the path, its rights and the space left"
+        return 2, f"{where}{error.strerror or text}; check the path, its access rights and the free disk space"
     if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in text:
         return 3, "out of memory; give fewer or shorter records"
     kind = type(error).__name__
-    return 3, f"unexpected {kind}: {text[:200]}; PITP_TRACEBACK=1 shows where, please report it"
+    return 3, f"unexpected {kind}: {text[:200]}; run again with PITP_TRACEBACK=1 to see where, and report it"
 
 
 def _order(text: str) -> int | str:
@@ -169,7 +169,7 @@ def _finite(text: str) -> float | None:
 def _zero(text: str) -> str | float:
     value = text if text in ("rest", "sensor") else _finite(text)
     if value is None:
-        raise argparse.ArgumentTypeError(f"{text!r} is neither rest nor sensor nor a number in the target's unit")
+        raise argparse.ArgumentTypeError(f"{text!r} is not rest, sensor or a number in the target's unit")
     return value
 
 
@@ -224,72 +224,89 @@ def _parser() -> argparse.ArgumentParser:
 
     def command(name: str, text: str) -> argparse.ArgumentParser:
         made = commands.add_parser(
-            name, help=text, description=text.capitalize() + ".", epilog=ending(name), allow_abbrev=False,
+            name, help=text, description=f"{text[0].upper()}{text[1:]}.", epilog=ending(name), allow_abbrev=False,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         made.set_defaults(runs=name)
         made.add_argument(
-            "--json", dest="json_file", metavar="FILE", help="also write the result for machines; - is standard output"
+            "--json",
+            dest="json_file",
+            metavar="FILE",
+            help="also write the result as JSON; - writes it to standard output",
         )
-        made.add_argument("--force", action="store_true", help="replace output files that are not ours")
-        made.add_argument("--no-cache", action="store_true", help="compile anew, and keep no compiled programs")
+        made.add_argument("--force", action="store_true", help="overwrite existing files that pitp did not write")
+        made.add_argument("--no-cache", action="store_true", help="do not read or store compiled programs")
         return made
 
-    demo = command("demo", "the paper's protocol on a virtual actuator: tables, figures, model")
+    demo = command("demo", "run the paper's protocol on a virtual actuator: tables, figures, model")
     demo.add_argument(
         "--plant",
         choices=_PLANTS,
         default="cone100",
-        help="virtual actuator (default cone100), or a robot's joint and its simulator",
+        help="virtual actuator (default cone100), or joint: a robot's joint and its simulator",
     )
     demo.add_argument("--out", default="demo", metavar="DIR", help="folder to write to (default ./demo)")
-    demo.add_argument("--quick", action="store_true", help="fewer and shorter records: a minute or two")
-    _plan_arguments(command("plan", "which recordings to take: a first session, or the next ones for a model"))
-    _check_arguments(command("check", "what was read, how each record begins, and whether the set is enough"))
-    _identify_arguments(command("identify", "fit a linear model of the right order to records"))
-    _fit_arguments(command("fit", "train a model on records, from an identified one"))
-    _predict_arguments(command("predict", "run a model under the voltage of records and score it"))
-    _simulate_arguments(command("simulate", "what a model does under voltages without a measurement"))
-    _invert_arguments(command("invert", "the voltage that makes a wanted trajectory"))
-    _diagnose_arguments(command("diagnose", "where a model and records disagree, which missing effect causes it"))
-    _verify_arguments(command("verify", "the gap to a robot in MuJoCo, before and after its file was changed"))
-    _adapt_arguments(command("adapt", "the same actuator on another day, from one short recording"))
-    _export_arguments(command("export", "a model and its inverse as C, as an FMU or as MATLAB functions, for the rig"))
-    info = command("info", "what a model file holds")
+    demo.add_argument("--quick", action="store_true", help="fewer and shorter recordings: takes a minute or two")
+    _plan_arguments(command("plan", "propose recordings to take: a first session, or the next ones for a model"))
+    _check_arguments(
+        command("check", "show what was read and how each recording starts, and judge whether the set is sufficient")
+    )
+    _identify_arguments(command("identify", "fit a linear model to recordings; the data choose its order"))
+    _fit_arguments(command("fit", "train a model on recordings, starting from an identified one"))
+    _predict_arguments(
+        command("predict", "simulate a model under the recorded input and compare it with the recorded output")
+    )
+    _simulate_arguments(command("simulate", "simulate a model under inputs without a measurement"))
+    _invert_arguments(command("invert", "compute the voltage for a wanted motion"))
+    _diagnose_arguments(
+        command("diagnose", "find where a model and recordings disagree, and which missing effect causes it")
+    )
+    _verify_arguments(
+        command("verify", "compare MuJoCo with a robot's recordings, before and after its file was changed")
+    )
+    _adapt_arguments(command("adapt", "update a model to the same actuator on another day, from one short recording"))
+    _export_arguments(
+        command("export", "write a model and its inverse as C, as an FMU or as MATLAB functions, for the rig")
+    )
+    info = command("info", "show what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("others", nargs="*", help=argparse.SUPPRESS)  # two are compared by `compare`
-    _compare_arguments(command("compare", "what differs between two models, two diagnoses or two sets of records"))
+    _compare_arguments(
+        command("compare", "show the differences between two models, two diagnoses or two sets of recordings")
+    )
     return parser
 
 
 _LENGTHS, _VOLTS = "m|mm|um|cm|nm", "V|kV|mV"
 _OTHERS = "A|mA, N|kN|N m, bar|kPa|MPa|psi, rad|deg|rev, rad/s|deg/s|rpm, m/s|m/s2, counts|percent"
 _SAID = (  # option, placeholder, type, help
-    ("time-column", "NAME", str, "exact header of the time, or its number from 1; the others likewise"),
-    ("input-column", "NAME", str, "exact header of the input"),
-    ("output-column", "NAME", str, "exact header of the output"),
-    ("time-unit", "UNIT", str, "s|ms|us|ns|min|h|d, over what the file says"),
-    ("input-unit", "UNIT", str, f"{_VOLTS}, {_LENGTHS}, {_OTHERS}, over what the file says"),
-    ("output-unit", "UNIT", str, "as for the input"),
-    ("input-scale", "S", _number, "V per V of the input (a monitor of 1 V per kV: 1000)"),
-    ("output-scale", "S", _number, "m per V of the output (a laser of 2 mm per V: 0.002)"),
-    ("rate", "HZ", _positive, "samples per second: of files without time, and of any clock, which it overrules"),
-    ("header-line", "N", int, "line that names the columns, counted from 1"),
-    ("units-line", "N|none", str, "line that holds the units"),
-    ("separator", "CHAR", str, "between cells of text: a character, tab or blank"),
-    ("decimal", ".|,", str, "decimal mark of text"),
-    ("encoding", "NAME", str, "of text: utf-8, cp1252, cp932, gb18030, ..."),
-    ("sheet", "NAME", str, "of a workbook"),
-    ("split-by", "COLUMN|sheet|group", str, "several runs in one file, a record each"),
-    ("from", "S", _seconds, "only what is recorded from here on, in s after the first row of each recording"),
-    ("to", "S", _seconds, "only what is recorded up to here"),
+    ("time-column", "NAME", str, "time column: its exact header, or its number counted from 1"),
+    ("input-column", "NAME", str, "input column: its exact header or its number"),
+    ("output-column", "NAME", str, "output column: its exact header or its number"),
+    ("time-unit", "UNIT", str, "unit of the time, overrides the file: s|ms|us|ns|min|h|d"),
+    ("input-unit", "UNIT", str, f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"),
+    ("output-unit", "UNIT", str, f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"),
+    ("input-scale", "S", _number, "factor from the input column to V (a monitor of 1 V per kV: 1000)"),
+    ("output-scale", "S", _number, "factor from the output column to m (a laser of 2 mm per V: 0.002)"),
+    ("rate", "HZ", _positive, "samples per second: for files without a time column; overrides any other clock"),
+    ("header-line", "N", int, "line with the column names, counted from 1"),
+    ("units-line", "N|none", str, "line with the units, counted from 1"),
+    ("separator", "CHAR", str, "separator of text files: a character, tab or blank"),
+    ("decimal", ".|,", str, "decimal mark of text files"),
+    ("encoding", "NAME", str, "encoding of text files: utf-8, cp1252, cp932, gb18030, ..."),
+    ("sheet", "NAME", str, "sheet of a workbook"),
+    ("split-by", "COLUMN|sheet|group", str, "several runs in one file: split it by this column into recordings"),
+    ("from", "S", _seconds, "use only the part from S on, in s after the first row of each recording"),
+    ("to", "S", _seconds, "use only the part up to S, in s after the first row of each recording"),
 )
 _RANGE = {"from": "from_s", "to": "to_s"}  # options whose names in Python differ
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
     """Add the options of `pitp.read` (or `read_target`, or `read_voltage`) about the columns of files."""
-    group = parser.add_argument_group("columns of the files", "by default names and units in the headers decide")
+    group = parser.add_argument_group(
+        "columns of the files", "by default, chosen by the names and units in the headers"
+    )
     for option, placeholder, kind, text in _SAID:
         stem = option.partition("-")[0]
         if (stem == "input" and target) or (stem == "output" and drive) or (stem == "rate" and (target or not rate)):
@@ -300,18 +317,21 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
         )  # fmt: skip
     group.add_argument(
         "--join", dest=f"{_READING}join", metavar="FILE", nargs="+", action="extend",
-        help="files with the other columns of the same rows (time, input and output in separate files)",
+        help="further files with columns of the same rows (time, input and output in separate files)",
     )  # fmt: skip
     if not target and not drive:
         group.add_argument(
-            "--each", action="append", metavar="NAME=INPUT,OUTPUT", help="a joint of a log, once per joint; repeatable"
+            "--each",
+            action="append",
+            metavar="NAME=INPUT,OUTPUT",
+            help="read one joint of a log; give it once per joint",
         )
 
 
 def _check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--model", metavar="MODEL", help="also say which records this model does not explain")
-    parser.add_argument("--out", metavar="DIR", help="write every record as understood, and a page, here")
+    parser.add_argument("--model", metavar="MODEL", help="also list the recordings that this model does not explain")
+    parser.add_argument("--out", metavar="DIR", help="folder for a page and one CSV per recording as it was read")
     _columns(parser)
 
 
@@ -319,27 +339,35 @@ def _compare_arguments(parser: argparse.ArgumentParser) -> None:
     kinds = "model file, diagnosis (its JSON or folder), or record files"
     parser.add_argument("a", metavar="A", help=kinds)
     parser.add_argument("b", metavar="B", help="another of the same kind")
-    parser.add_argument("--out", metavar="DIR", help="write a page and its figures here")
+    parser.add_argument("--out", metavar="DIR", help="folder for a page and its figures")
     _columns(parser)
 
 
 def _simulate_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("voltages", nargs="+", metavar="VOLTAGE", help="files of time and voltage, and folders of them")
-    parser.add_argument("--out", metavar="DIR", help="write one CSV per drive here")
+    parser.add_argument("--out", metavar="DIR", help="folder for one CSV per input")
     _zero_argument(parser, "displacement")
     _columns(parser, drive=True)
 
 
 def _limit_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group(
-        "limits", "A voltage is in V and a length in mm, any other quantity in the unit of the model's records; or "
-        "give the unit: 3kV, 20deg.",
+        "limits", "Voltages in V, lengths in mm, other quantities in the unit of the model's recordings; or with a "
+        "unit: 3kV, 20deg.",
     )  # fmt: skip
     for names, placeholder, text in (
-        (("--max-voltage", "--max-input"), "U", "default: the largest of the model's recordings"),
-        (("--max-slew", "--max-input-rate"), "U/s", "default: the fastest of the model's recordings"),
-        (("--max-displacement", "--max-output"), "Y", "from the position at zero input, either way"),
+        (("--max-voltage", "--max-input"), "U", "largest input (default: the largest in the model's recordings)"),
+        (
+            ("--max-slew", "--max-input-rate"),
+            "U/s",
+            "fastest change of the input (default: as in the model's recordings)",
+        ),
+        (
+            ("--max-displacement", "--max-output"),
+            "Y",
+            "largest distance from the position at zero input, in both directions (default: no limit)",
+        ),
     ):
         group.add_argument(*names, type=_limit, metavar=placeholder, help=text)
 
@@ -347,26 +375,35 @@ def _limit_arguments(parser: argparse.ArgumentParser) -> None:
 def _zero_argument(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
-        help=f"where the {what} is 0: at 0 V (default), as the sensor reads, or what it is at 0 V",
+        help=f"zero of the {what}: rest = the position at 0 V (default), sensor = sensor readings, or its VALUE at 0 V",
     )  # fmt: skip
 
 
 def _plan_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
-        "paths", nargs="*", metavar="[MODEL] RECORDS", help="a model, then the records it was fitted on"
+        "paths",
+        nargs="*",
+        metavar="[MODEL] RECORDS",
+        help="a model, then the recordings it was fitted on (both optional)",
     )
-    parser.add_argument("--out", required=True, metavar="DIR", help="write drives, a page and plan.json here")
+    parser.add_argument(
+        "--out", required=True, metavar="DIR", help="folder for the inputs to play, a page and plan.json"
+    )
     _limit_arguments(parser)
-    parser.add_argument("--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="drive frequencies, Hz")
-    parser.add_argument("--duration", type=_positive, metavar="S", help="of drive in all recordings together")
+    parser.add_argument(
+        "--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="lowest and highest frequency of the input, Hz"
+    )
+    parser.add_argument("--duration", type=_positive, metavar="S", help="total duration of the input of all recordings")
     parser.add_argument(
         "--rest", type=_seconds, metavar="S",
-        help="at zero input between recordings (default: until the actuator is at rest again)",
+        help="rest at zero input between recordings (default: until the actuator is at rest again)",
     )  # fmt: skip
-    parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the drives")
-    parser.add_argument("--choose-from", metavar="DIR", help="rank these existing recordings instead")
-    parser.add_argument("--alternate", action="store_true", help="every second drive negative (bipolar amplifier)")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the space-filling set (default 0)")
+    parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the inputs")
+    parser.add_argument(
+        "--choose-from", metavar="DIR", help="rank these existing recordings instead of proposing new ones"
+    )
+    parser.add_argument("--alternate", action="store_true", help="make every second input negative (bipolar amplifier)")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the space-filling set (default 0)")
     _columns(parser, rate=False)
 
 
@@ -381,16 +418,21 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
         action="append",
         default=[],
         choices=("delay",),
-        help="keep a pure delay behind the drive in any case",
+        help="always fit a pure delay between input and output",
     )
     delay.add_argument(
         "--no-delay", action="store_const", const=("delay",), default=(), dest="leave_out",
-        help="without one (default: where it pays on blocks left out)",
+        help="fit no delay (default: with a delay if it predicts left-out blocks better)",
     )  # fmt: skip
     parser.add_argument(
-        "--validate", nargs="+", action="extend", default=[], metavar="RECORDS", help="only run the model on these"
+        "--validate",
+        nargs="+",
+        action="extend",
+        default=[],
+        metavar="RECORDS",
+        help="also score the model on these, without fitting them",
     )
-    parser.add_argument("--report", metavar="DIR", help="write the Bode page here")
+    parser.add_argument("--report", metavar="DIR", help="folder for a page with the Bode diagram")
     _columns(parser)
 
 
@@ -399,16 +441,18 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write")
     parser.add_argument("--nominal", metavar="NOMINAL", help="start from this model instead of identifying one")
     parser.add_argument("--order", type=_order, metavar="N|auto", help="1 to 6, or auto (default)")
-    parser.add_argument("--preset", choices=("default", "paper"), default="default", help="how to train")
+    parser.add_argument("--preset", choices=("default", "paper"), default="default", help="training settings")
     parser.add_argument(
         "--learn", action="append", default=[], choices=("delay", "sensor_lag"), metavar="PART",
-        help="also learn a delay or a sensor_lag between amplifier and record (may be given twice)",
+        help="also learn a delay or a sensor_lag between amplifier and recording (may be given twice)",
     )  # fmt: skip
     parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
-    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="of the random start (default 0)")
-    parser.add_argument("--report", metavar="DIR", help="also write a page of free runs beside the records here")
+    parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random start (default 0)")
+    parser.add_argument("--report", metavar="DIR", help="folder for a page of free runs beside the recordings")
     parser.add_argument(
-        "--cross-validate", action="store_true", help="also train without each record in turn, and predict it"
+        "--cross-validate",
+        action="store_true",
+        help="also leave out each recording in turn, train on the others and predict it",
     )
     _columns(parser)
 
@@ -416,25 +460,34 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
 def _predict_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
+    parser.add_argument("--out", metavar="DIR", help="folder for a page and one CSV per recording")
     _columns(parser)
 
 
 def _invert_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("target", metavar="TARGET", help="file with a time and a displacement")
-    parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage to write")
+    parser.add_argument("--out", required=True, metavar="VOLTAGE.csv", help="voltage file to write")
     _limit_arguments(parser)
     _zero_argument(parser, "target")
     parser.add_argument(
-        "--start-input", type=_amount, metavar="U", help="input at both ends, which holds a machine in place (0)"
+        "--start-input",
+        type=_amount,
+        metavar="U",
+        help="input before and after the target, such as a holding torque (default 0)",
     )
     parser.add_argument(
-        "--rate", type=_positive, metavar="HZ", help="what the voltage is played at; default: the target's"
+        "--rate", type=_positive, metavar="HZ", help="samples per second of the voltage (default: those of the target)"
     )
-    parser.add_argument("--unit", metavar="UNIT", help="of the input written (default V, or that of the records)")
     parser.add_argument(
-        "--input-scale", type=_positive, default=1.0, metavar="S", help="amplifier's gain: input / S is written"
+        "--unit", metavar="UNIT", help="unit of the written input (default V, or that of the recordings)"
+    )
+    parser.add_argument(
+        "--input-scale",
+        type=_positive,
+        default=1.0,
+        metavar="S",
+        help="gain of the amplifier: input / S is written (default 1)",
     )
     _columns(parser, target=True)
 
@@ -448,42 +501,46 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         action="extend",
         metavar="SIMULATED",
-        help="recordings of a simulator instead of a model",
+        help="compare with a simulator's recordings instead of a model",
     )
     parser.add_argument(
         "--position-gain",
         type=_positive,
         metavar="KP",
-        help="of the simulator's controller: numbers in N m, not ratios",
+        help="gain of the simulator's position controller: gives parameters in N m instead of ratios",
     )
     parser.add_argument(
         "--by-group", action="store_true",
-        help="with --against: diagnose the groups of recordings one by one that differ in a load or a gain",
+        help="with --against: diagnose each group of recordings (different load or gain) separately",
     )  # fmt: skip
     parser.add_argument(
-        "--refit-nominal", action="store_true", help="it was identified on such records: fit its coefficients along"
+        "--refit-nominal",
+        action="store_true",
+        help="also fit the nominal model's coefficients (if it was identified on these recordings)",
     )
     parser.add_argument(
-        "--seconds", type=_positive, metavar="S", help="limit of the run time; the best result so far is reported"
+        "--seconds", type=_positive, metavar="S", help="stop after S seconds and report the best result so far"
     )
-    parser.add_argument("--out", metavar="DIR", help="write the model with the effect, a report and figures here")
-    group = parser.add_argument_group("MuJoCo file", "with --against, whose recordings were made with this file")
-    group.add_argument("--mjcf", metavar="XML", help="write a copy with the robot's numbers into the folder --out")
+    parser.add_argument("--out", metavar="DIR", help="folder for the model with the effects, a page and figures")
+    group = parser.add_argument_group(
+        "MuJoCo file", "with --against, if the simulator's recordings were made with this file"
+    )
+    group.add_argument("--mjcf", metavar="XML", help="write a copy with the robot's parameters into the folder --out")
     _joint_arguments(group)
     _columns(parser)
 
 
 def _joint_arguments(parser) -> None:
     parser.add_argument(
-        "--joint", action="append", metavar="NAME", help="whose motion was recorded; with --each once per joint"
+        "--joint", action="append", metavar="NAME", help="joint whose motion was recorded; with --each once per joint"
     )
-    parser.add_argument("--actuator", metavar="NAME", help="that was commanded, where several drive the joint")
+    parser.add_argument("--actuator", metavar="NAME", help="actuator that was commanded, if several drive the joint")
 
 
 def _verify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--mjcf", required=True, metavar="XML", help="file with the robot's numbers")
-    parser.add_argument("--before", metavar="XML", help="the file as it was, to compare with")
+    parser.add_argument("--mjcf", required=True, metavar="XML", help="MuJoCo file with the robot's parameters")
+    parser.add_argument("--before", metavar="XML", help="original file, to compare with")
     _joint_arguments(parser)
     parser.add_argument(
         "--held-out",
@@ -493,30 +550,34 @@ def _verify_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="RECORDS",
         help="recordings that the diagnosis did not use",
     )
-    parser.add_argument("--out", metavar="DIR", help="write one CSV per record and a page here")
+    parser.add_argument("--out", metavar="DIR", help="folder for a page and one CSV per recording")
     _columns(parser)
 
 
 def _adapt_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model")
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--out", required=True, metavar="MODEL", help="model file to write; as given if unchanged")
+    parser.add_argument(
+        "--out", required=True, metavar="MODEL", help="model file to write (an unchanged copy if nothing has changed)"
+    )
     _columns(parser)
 
 
 def _export_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("model", metavar="MODEL", help="identified or trained model, with any effects")
-    parser.add_argument("--to", required=True, choices=("c", "fmu", "matlab"), help="what is written")
-    parser.add_argument("--out", required=True, metavar="DIR", help="folder to make; it must not exist yet")
+    parser.add_argument("--to", required=True, choices=("c", "fmu", "matlab"), help="target language")
+    parser.add_argument("--out", required=True, metavar="DIR", help="folder to create; it must not exist yet")
     parser.add_argument(
         "--rate", dest="steps", type=_positive, metavar="HZ", help="steps per second (default: the model's)"
     )
-    parser.add_argument("--precision", choices=("single", "double"), help="of C and FMU (default double)")
+    parser.add_argument("--precision", choices=("single", "double"), help="arithmetic of C and FMU (default double)")
     parser.add_argument(
         "--time-constant",
         type=_time_constant,
         metavar="S",
-        help="of the closed loop of the PI steps in C (default: by the model; inf: no controller)",
+        help="closed-loop time constant of the PI controller in C (default: from the model; inf: no controller)",
     )
-    parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMU's interface (default 2)")
-    parser.add_argument("--name", metavar="NAME", default="model", help="of files and functions: pitp_NAME (model)")
+    parser.add_argument("--fmi", type=int, choices=(2, 3), help="version of the FMI standard (default 2)")
+    parser.add_argument(
+        "--name", metavar="NAME", default="model", help="name of files and functions: pitp_NAME (default model)"
+    )

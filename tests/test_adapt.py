@@ -161,7 +161,7 @@ def test_the_covariance_is_that_of_estimates_under_coloured_noise():
     rng, size = np.random.default_rng(1), 2000
     columns = np.stack([np.sin(np.arange(size) / 40), np.ones(size)], 1)
     estimates, told = [], []
-    for _ in range(200):
+    for _ in range(80):
         e = lfilter([0.2], [1, -0.98], rng.standard_normal(size + 400))[400:]
         q = np.linalg.lstsq(columns, e, rcond=None)[0]
         estimates.append(q)

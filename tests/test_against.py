@@ -203,12 +203,12 @@ def test_a_simulator_gets_no_pole_that_the_gap_cannot_see():
 
 def test_what_cannot_be_meant_is_refused(simulator):
     other = [pitp.Record("x", TIME, np.sin(20 * TIME), np.cos(TIME), displacement_unit="V")]
-    with pytest.raises(pitp.BadInput, match="no recording of the simulator has the command"):
+    with pytest.raises(pitp.BadInput, match="no recording of the simulator has the same command"):
         pitp.diagnose(recordings(), against=other)
     wrongly: Any = pitp.diagnose  # type checkers refuse these calls as well
     with pytest.raises(pitp.BadInput, match="no model and no refit_nominal"):
         wrongly(recordings(), against=recordings(), refit_nominal=True)
-    with pytest.raises(pitp.BadInput, match="position_gain is for against"):
+    with pytest.raises(pitp.BadInput, match="position_gain only works with against"):
         wrongly(simulator, recordings(), position_gain=1.0)
 
 

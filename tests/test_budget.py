@@ -10,7 +10,7 @@ from pitp_jax._diagnose.budget import Budget
 def test_what_a_budget_does_not_reach_is_noted_once():
     budget = Budget(100.0)
     assert budget.allows("this") and not budget.allows("that", 200.0) and not budget.allows("that", 200.0)
-    assert budget.notes() == ("stopped after 100 s (--seconds), not tried: that",)
+    assert budget.notes() == ("The search stopped after 100 s (--seconds) and did not try: that",)
     assert Budget().allows("anything", 1e9) and Budget().notes() == ()
     assert Budget(0.0).remaining < 0 and np.isinf(Budget().remaining)
 
@@ -21,7 +21,7 @@ def test_a_count_of_steps_ends_a_search_on_every_machine_alike():
     assert budget.allows("this") and not budget.spent
     budget.count(1)
     assert budget.spent and not budget.allows("that")
-    assert budget.notes() == ("stopped after 1e+03 simulated steps, the most, not tried: that",)
+    assert budget.notes() == ("The search stopped after 1e+03 simulated steps (its limit) and did not try: that",)
 
 
 def test_what_follows_a_search_has_its_reserve():
@@ -40,8 +40,8 @@ def test_a_line_every_few_seconds_says_what_is_left(monkeypatch):
         budget.count(1_000_000)
     assert lines[0] == "sets of 1"
     assert [line.split(" (")[0] for line in lines[1:]] == [
-        "sets of 1: 6 s so far, at most 14 s left",
-        "sets of 1: 12 s so far, at most 8 s left",
+        "sets of 1: 6 s elapsed, at most 14 s left",
+        "sets of 1: 12 s elapsed, at most 8 s left",
     ]
 
 

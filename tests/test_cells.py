@@ -59,7 +59,7 @@ def test_a_row_per_message_is_held_on_the_rows_of_the_output(tmp_path, command_r
     fine = record.time[0] + (np.arange(1000 * record.samples) + 0.5) / 80_000
     means = held(sent, command, fine).reshape(-1, 1000).mean(1)
     np.testing.assert_allclose(record.voltage, means, atol=2e-3)
-    assert "% of the rows, held between them" in record.recognised["input"]
+    assert "% of the rows, held constant between them" in record.recognised["input"]
 
 
 def test_values_logged_on_change_are_held(tmp_path):

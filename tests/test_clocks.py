@@ -139,7 +139,7 @@ def test_a_counter_that_overflows_goes_on(tmp_path, bits, tick, rate, signed):
     counts = (np.round((t - 0.4 * t[-1]) / tick).astype(np.int64)) % 2**bits + lowest
     (record,) = read(log(tmp_path / "a.npz", t, counts * tick))
     np.testing.assert_allclose(record.time - record.time[0], t, atol=2 * tick)
-    assert "of the clock's counter, continued" in record.recognised["remarks"][0]
+    assert "of the clock's counter, made continuous" in record.recognised["remarks"][0]
     assert record.samples == len(t) and off(record, record.time[0]) < 2 * NOISE
 
 
@@ -149,7 +149,7 @@ def test_a_clock_that_starts_again_is_refused_or_overruled(tmp_path):
     assert "decreases" in refused(log(tmp_path / "a.npz", t, stamps))
     (record,) = read(tmp_path / "a.npz", rate=200)
     np.testing.assert_allclose(record.time, t, atol=1e-9)
-    assert "whatever the clock shows" in record.recognised["remarks"][0]
+    assert "timed by --rate instead of the clock" in record.recognised["remarks"][0]
 
 
 def test_rows_that_overtook_one_another_are_sorted(tmp_path):
@@ -158,7 +158,7 @@ def test_rows_that_overtook_one_another_are_sorted(tmp_path):
     order[500:503], order[1700:1702] = [502, 500, 501], [1701, 1700]
     (record,) = read(log(tmp_path / "a.npz", t[order]))
     np.testing.assert_allclose(record.time, t)
-    assert off(record) < 2 * NOISE and "5 rows out of order" in record.recognised["remarks"][0]
+    assert off(record) < 2 * NOISE and "5 rows not in the order of time" in record.recognised["remarks"][0]
 
 
 def test_a_clock_that_was_set_back_keeps_the_order_of_its_rows(tmp_path):

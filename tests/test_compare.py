@@ -69,7 +69,7 @@ def test_a_drive_of_another_size_or_shape_has_no_partner():
     assert "another size (factor 3)" in found.first_alone[0][1]
     assert [name for name, _ in found.second_alone] == ["slow"]
     found = pair_records(real[2:], simulated[:1])
-    assert not found.pairs and "no command correlates" in found.first_alone[0][1]
+    assert not found.pairs and "no command correlates by" in found.first_alone[0][1]
 
 
 LOADS = {"light": A, "middle": A * [1, 1, 1.5], "heavy": A * [1, 1, 2.2]}
@@ -235,9 +235,9 @@ def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
     rows: dict[str, Any] = {r.what: r for r in stiffer.rows}
     soft = rows["stiffness dF/dx at 500 V"]  # where the network has hardly moved on
     assert soft.differs and 1.2 < soft.b / soft.a < 1.35
-    assert "differ by no more" not in stiffer.headline() and rows["input seen"].differs is False
+    assert "do not differ beyond" not in stiffer.headline() and rows["input seen"].differs is False
     same = pitp.compare(one, _model(linear, bounded, (1.0005, 1.0, 1.0), encoder))
-    assert not same.different and "differ by no more" in same.headline()
+    assert not same.different and "do not differ beyond" in same.headline()
 
 
 def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):
@@ -277,7 +277,7 @@ def test_diagnoses_differ_beyond_both_standard_errors():
 
 
 def test_two_kinds_are_refused(linear):
-    with pytest.raises(pitp.BadInput, match="A is a model, B a set of records: give two of one kind"):
+    with pytest.raises(pitp.BadInput, match="A is a model, B a set of recordings; give two of the same kind"):
         pitp.compare(linear(2), machine())
     with pytest.raises(pitp.BadInput, match="cannot be compared; give pitp.load"):
         pitp.compare("a.pitp", linear(2))

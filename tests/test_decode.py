@@ -13,8 +13,11 @@ from scipy.signal import lsim
 
 from pitp_jax._effects import effect
 from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
+from pitp_jax._model.fitted import Fitted
 from pitp_jax._model.input_map import LinearInput
 from pitp_jax._model.memory import ElapsedTime, FadingMemory
+from pitp_jax._model.origin import Origin
+from pitp_jax._record.excited import tabulate
 from pitp_jax._record.record import Record
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
@@ -253,6 +256,12 @@ def test_predictions_carry_the_share(linear, coefficients):
     (found,) = predict(replace(model, domain=replace(model.domain, region=box)), [record])
     truth = (np.abs(record.displacement / 1e-3 - top / 4) > top / 4 * 1.1).mean()
     assert found.outside_training_share == pytest.approx(truth, abs=0.01)
+    # an input that its training never held lies outside as a whole; one that it held, not at all
+    other = tabulate([1e-3 * np.sin(0.1 * record.time)], record.dt)
+    for table, share in ((other, 1.0), (tabulate([record.voltage], record.dt), 0.0)):
+        (found,) = predict(Fitted(model, Origin(excited_input=table)), [record])
+        assert found.outside_training_share == pytest.approx(share, abs=0.01)
+        assert found.not_excited.startswith("The input has 100 % of its energy") == (share > 0)
 
 
 @pytest.mark.parametrize("first", ["sensor_gain", "backlash"])

@@ -144,5 +144,5 @@ def test_refuses_substeps(nonlinear):
 
 def test_effects_are_refused(nonlinear):
     model = replace(nonlinear(2), effects=(effect("stiffening", c=0.5),))
-    with pytest.raises(ValueError, match="knows no effects"):
+    with pytest.raises(ValueError, match="does not support effects"):
         discrete_inverse(model, jnp.zeros((20, 2 + model.memory.size)), 1e-3)

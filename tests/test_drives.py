@@ -69,7 +69,7 @@ def test_only_steps_may_have_few_samples_a_period():
     answer = np.random.default_rng(1).standard_normal(4000)
     sines = 100 * np.sin(2 * np.pi * np.arange(4000) / 7 + 0.1)
     said = [" ".join(facts(Record("a", np.arange(4000) * DT, u, answer)).problems) for u in (sines, np.sign(sines))]
-    assert "samples a period" in said[0] and "samples a period" not in said[1]
+    assert "samples in a period" in said[0] and "samples in a period" not in said[1]
 
 
 def test_all_are_kept_where_they_fit():

@@ -165,15 +165,15 @@ def test_a_known_spread_is_covered(linear, level):
 
 @pytest.mark.parametrize("members", [0, 1])
 def test_fewer_than_two_members_are_refused(plant, ensemble, members):
-    with pytest.raises(ValueError, match=f"at least 2 members, got {members}"):
+    with pytest.raises(ValueError, match=f"at least 2 members, not {members}"):
         train_ensemble(plant[0], plant[1], members=members, settings=TINY, key=KEY)
-    with pytest.raises(ValueError, match=f"at least 2 members, got {members}"):
+    with pytest.raises(ValueError, match=f"at least 2 members, not {members}"):
         Ensemble(ensemble.models[:members], 0.0)
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, 95.0])
 def test_a_level_that_is_no_share_is_refused(plant, ensemble, level):
-    with pytest.raises(ValueError, match="no share between 0 and 1"):
+    with pytest.raises(ValueError, match="is not between 0 and 1"):
         predict_band(ensemble, plant[2], level=level)
 
 

@@ -39,14 +39,14 @@ def test_an_output_of_two_inputs_is_explained_in_part():
 
 def test_a_folded_output_is_not_taken_for_nothing():
     found = _identified(np.abs(_moved(_levels(0))), _levels(0))
-    assert found.explains and "folded reading" in str(found.warning)
+    assert found.explains and "does not show the direction of motion" in str(found.warning)
 
 
 def test_a_plant_at_rest_in_its_loop_determines_no_model():
     """The controller reacts to the noise of the sensor, which is all that moves."""
     noise = 1e-6 * np.random.default_rng(2).standard_normal(len(TIME) + 1)
     found = _identified(noise[1:], 1e6 * np.diff(noise))
-    assert not found.explains and "controller holds the plant in place" in str(found.warning)
+    assert not found.explains and "which a controller feeds back into the input" in str(found.warning)
 
 
 def test_noise_that_the_input_does_not_follow_is_a_warning():

@@ -12,6 +12,7 @@ import optax
 import pytest
 from jax.sharding import PartitionSpec
 from scipy.signal import lsim
+from typed import untyped
 
 import pitp_jax as pitp
 from pitp_jax import excitation
@@ -115,6 +116,7 @@ def test_free_run_is_the_equations_solution(plain):
     np.testing.assert_allclose(found, pitp.rollout(plain, u), rtol=0, atol=1e-6 * np.ptp(truth))
 
 
+@pytest.mark.slow  # random models of every kind stand in test_round_trips
 @pytest.mark.parametrize(("kind", "bound"), [("closed_form", 1e-3), ("discrete", 5e-6)])
 def test_a_free_run_of_the_inverse_is_the_target(trained, double, kind, bound):
     """Closed: eq. 13 holds tokens nowhere, the decoder over a step, some (w dt)^2 / 12 of a nonlinear force.
@@ -173,16 +175,45 @@ REFUSED = {
 }
 
 
+@pytest.fixture
+def unchecked():
+    """Switch off the suite's own checks of types, which would refuse a wrong type first."""
+    jaxtyping.config.update("jaxtyping_disable", True)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", False)
+
+
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("name", REFUSED)
 def test_what_runs_on_the_host_names_the_function_to_trace(plain, name):
     instead, function = REFUSED[name]
     arrays, static = eqx.partition(plain, eqx.is_inexact_array)
-    jaxtyping.config.update("jaxtyping_disable", True)  # the suite's own checks of types would refuse it first
-    try:
-        with pytest.raises(pitp.BadInput, match=f"{name}.*cannot be traced.*use .*{instead}"):
-            jax.make_jaxpr(lambda arrays, u: function(eqx.combine(arrays, static), u))(arrays, volts())
-    finally:
-        jaxtyping.config.update("jaxtyping_disable", False)
+    with pytest.raises(pitp.BadInput, match=f"{name}.*cannot be traced.*use .*{instead}"):
+        jax.make_jaxpr(lambda arrays, u: function(eqx.combine(arrays, static), u))(arrays, volts())
+
+
+WRONG = {
+    "free_run": ("voltage is a Record, not an array of numbers", lambda m, r: pitp.free_run(m, r)),
+    "free_run of two": (
+        r"voltage has shape \(2, 600\): give one recording",
+        lambda m, r: pitp.free_run(m, untyped([TIME, TIME])),
+    ),
+    "inverse": ("displacement is a str, not an array", lambda m, r: pitp.inverse(m, untyped("left"))),
+    "memory_along": ("displacement is a Record", pitp.memory_along),
+    "tokens_along": ("displacement is a Record", pitp.tokens_along),
+    "residual": ("voltage is a Record", lambda m, r: pitp.residual(m, r, TIME)),
+    "residual_loss": ("displacement is a Record", lambda m, r: pitp.residual_loss(m, TIME, r)),
+    "predict_band": ("a Model is not an ensemble", lambda m, r: pitp.predict_band(m, [r])),
+    "invert_stream": ("blocks is one array: give a list", lambda m, r: list(pitp.invert_stream(m, TIME, DT))),
+}
+
+
+@pytest.mark.usefixtures("unchecked")
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_no_signal_is_refused_by_name(plain, name):
+    message, function = WRONG[name]
+    with pytest.raises(pitp.BadInput, match=message):
+        function(plain, Record("a", TIME, TIME, TIME))
 
 
 def test_memories_are_lags_of_the_displacement(trained):

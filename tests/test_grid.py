@@ -70,7 +70,7 @@ def test_a_gap_longer_than_a_tenth_of_the_drives_period_splits_the_record(tmp_pa
     assert second.time[0] == pytest.approx(0.925)
     keep = np.setdiff1d(keep, np.arange(950, COUNT))
     (alone,) = read(write(tmp_path / "a.npz", TIME[keep]))
-    assert alone.samples == 900 and "25 samples of stretches too short" in alone.recognised["remarks"][-1]
+    assert alone.samples == 900 and "25 samples of pieces that are too short" in alone.recognised["remarks"][-1]
 
 
 def test_a_gap_of_years_takes_no_memory(tmp_path):
@@ -85,8 +85,8 @@ def test_a_gap_of_years_takes_no_memory(tmp_path):
         (lambda t: t[::-1], "decreases"),
         (lambda t: np.where(np.arange(COUNT) >= 500, t - 0.2, t), "decreases"),
         (lambda t: np.cumsum(np.random.default_rng(0).uniform(0, 2e-3, COUNT)), "not uniform"),
-        (lambda t: np.zeros(COUNT), "repeats"),
-        (lambda t: t * 1e300, "is no time"),
+        (lambda t: np.zeros(COUNT), "repeat the time of the row before"),
+        (lambda t: t * 1e300, "is not a possible time"),
     ],
     ids=["backwards", "back", "random", "still", "endless"],
 )
@@ -121,7 +121,7 @@ def test_a_row_that_stands_twice_is_left_out(tmp_path):
     twice = np.sort(np.append(np.arange(COUNT), [500, 900]))
     (record,) = read(write(tmp_path / "a.npz", TIME[twice]))
     assert record.samples == COUNT and record.dt == pytest.approx(1e-3, rel=1e-9)
-    assert record.recognised["remarks"] == ["a: 2 rows equal to the row before, left out"]
+    assert record.recognised["remarks"] == ["a: 2 rows equal to the row before, removed"]
 
 
 @pytest.mark.parametrize("rate", [700, 800, 900, 1500, 2000])

@@ -61,7 +61,7 @@ def test_headers_of_savetxt(tmp_path, separator, names):
 )
 def test_units_that_contradict_the_names_are_asked_about(tmp_path, units):
     message = refused_csv(tmp_path, units + NAMES + BODY)
-    assert "its name says V, the units beside it say kV" in message and "--input-unit" in message
+    assert "has two units, V in its name and kV in its unit" in message and "--input-unit" in message
     assert_read(tmp_path, units + NAMES + BODY, time_unit="s", input_unit="V")
 
 
@@ -72,7 +72,7 @@ def test_a_decimal_comma_below_the_first_lines(tmp_path):
     (record,) = read(tmp_path / "a.csv")
     assert record.displacement[-1] == pytest.approx(2.5e-6) and "decimal comma" in record.recognised["file"]
     # 1,250 may be 1250
-    assert "'1,250' where a number belongs" in refused_csv(tmp_path, text + "\n300;1,250;2\n")
+    assert "'1,250' instead of a number" in refused_csv(tmp_path, text + "\n300;1,250;2\n")
     assert "thousands" in refused_csv(tmp_path, text.replace(";1", ";1,") + "\n300;1,300;2\n")
 
 
@@ -87,7 +87,7 @@ def test_dates_go_on_over_midnight(form):
 
 
 def test_the_order_of_day_and_month_is_asked_where_both_go_on():
-    with pytest.raises(ValueError, match="may come first"):
+    with pytest.raises(ValueError, match="day and month cannot be told apart"):
         seconds(["05/11/2026 10:00:00", "07/11/2026 10:00:01"])
 
 
@@ -95,7 +95,7 @@ def test_the_order_of_day_and_month_is_asked_where_both_go_on():
 def test_a_drive_without_unit_competes_with_its_monitor(tmp_path, drive):
     rows = [f"{row.split(',')[0]},{b:.0f},{b / 1000},{c:.6f}" for row, b, c in zip(ROWS, VOLTAGE, OUTPUT, strict=True)]
     message = refused_csv(tmp_path, f"time_s,{drive},monitor_V,displacement_mm\n" + "\n".join(rows))
-    assert "two matches for the input" in message and "--input-unit UNIT" in message
+    assert "two columns may be the input" in message and "--input-unit UNIT" in message
     assert "--input-column HV" in message or drive != "HV"
 
 

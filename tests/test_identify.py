@@ -151,9 +151,9 @@ def test_one_sine_cannot_carry_many_orders(coefficients, order):
 
 def test_nothing_to_identify(coefficients):
     record = sweep(coefficients(2))
-    with pytest.raises(BadInput, match="voltage never changes"):
+    with pytest.raises(BadInput, match="input never changes"):
         identify([Record("flat", TIME, np.full(SAMPLES, 500.0), record.displacement)], order=2)
-    with pytest.raises(BadInput, match="displacement never changes"):
+    with pytest.raises(BadInput, match="output never changes"):
         identify([changed(record, np.full(SAMPLES, 2e-3))], order=2)
     with pytest.raises(BadInput, match="order 7"):
         identify([record], order=7)

@@ -55,7 +55,7 @@ def test_a_drift_is_inverted_at_the_age_its_clock_shows(actuator, begins):
     states = rollout(model, jnp.asarray(found.voltage, jnp.float32), DT, rest_state(model, age))
     x = np.asarray(states, np.float64)[found.target, 0] * model.scales.state[0]
     assert e_rms_percent(x, hump()) < 1e-3
-    assert f"{age:.4g} s into its session" in found.warnings[0]
+    assert f"{age:.4g} s after the start of the session" in found.warnings[0]
 
 
 @pytest.mark.parametrize("late", [0.03, 0.1])

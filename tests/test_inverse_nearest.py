@@ -215,5 +215,5 @@ def test_an_acceleration_at_the_first_sample_is_led_in_above_order_two(linear, b
 def test_rounding_a_corner_is_offered_with_its_cost(actuator):
     triangle = 1e-3 + 5e-4 * (2 * np.abs(2 * ((2 * TIME) % 1) - 1) - 1)
     (line,) = [w for w in feedforward(actuator, Target(TIME, triangle), shots=0).warnings if "not smooth" in w]
-    width, cost = float(line.split("Gaussian of ")[1].split()[0]), float(line.split("costs ")[1].split()[0])
+    width, cost = float(line.split("Gaussian of ")[1].split()[0]), float(line.split("changes it by ")[1].split()[0])
     assert 1 <= width < 50 and 0.01 < cost < 5

@@ -64,7 +64,7 @@ def test_the_plan_of_way_points_is_that_of_their_spline(linear):
     fine = feedforward(model, at_rate_of_model(target, 1e-3), shots=0, max_voltage=5000, max_slew=1e7)
     np.testing.assert_array_equal(found.voltage, fine.voltage)
     (told,) = set(found.warnings) - set(fine.warnings)
-    assert "every 0.1 s, coarser than the model's 0.001 s: joined by a cubic spline" in told
+    assert "every 0.1 s, coarser than the model's 0.001 s, and was interpolated by a cubic spline" in told
 
 
 @pytest.mark.parametrize(("order", "damping"), [(2, 0.05), (2, 0.3), (2, 1.2), (3, 0.3), (3, 1.2)])

@@ -81,7 +81,7 @@ def test_a_linear_model_is_built_from_its_coefficients():
     assert np.abs(np.asarray(model.coefficients)).max() == pytest.approx(1.0)
     straight = pitp.linear_model([2.0, 0.1], dt=1e-3, input_map=pitp.LinearInput())
     np.testing.assert_allclose(pitp.free_run(straight, np.ones(500))[-1], 0.5, rtol=1e-3)
-    with pytest.raises(pitp.BadInput, match="give dt"):
+    with pytest.raises(pitp.BadInput, match="needs dt"):
         pitp.linear_model([1.0, 1.0])
 
 
@@ -208,5 +208,7 @@ def test_an_export_names_the_operation_that_c_cannot_express():
         def __call__(self, features):
             return 0.01 * jnp.append(jnp.sort(features), jnp.zeros(2))
 
-    with pytest.raises(pitp.BadInput, match="operation sort cannot be written as C: use others in an encoder"):
+    with pytest.raises(
+        pitp.BadInput, match="operation sort cannot be written as C; use other operations in your encoder"
+    ):
         program(pitp.OwnEncoder(Sorted()), jnp.zeros(2))

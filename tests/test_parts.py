@@ -83,7 +83,10 @@ def test_a_likely_part_comes_with_what_to_record(judged, monkeypatch):
     """The excitation under which it differs most from the best hypothesis without it, where that exceeds the noise."""
     monkeypatch.setattr(verdict, "reference", lambda case, h, floors: hypothesis((), 0.2).evidence)
     clip = fitted(("voltage_clip",), 0.3, {LIMIT: 1 / 850.0})
-    for difference, expected in ((12.0, "sine of 3 Hz, 7 s (to tell it from drag)"), (0.5, "an excitation of another")):
+    for difference, expected in (
+        (12.0, "sine of 3 Hz, 7 s (to separate it from drag)"),
+        (0.5, "an excitation of another"),
+    ):
         sine = Experiment(("voltage_clip", "drag"), "sine of 3 Hz", np.arange(8.0), np.zeros(8), difference)
         monkeypatch.setattr(parts, "separate", lambda case, scale, a, b, names, sine=sine: sine)
         search = searched(clip, hypothesis(("drag",), 0.5))

@@ -14,11 +14,14 @@ from scipy.signal import cont2discrete, lfilter
 import pitp_jax as pitp
 from pitp_jax import rest_state
 from pitp_jax._commands.plan import _sorted
+from pitp_jax._model.fitted import Fitted
+from pitp_jax._model.origin import Origin
 from pitp_jax._plan import scaled_to_limits, strokes
 from pitp_jax._plan.expected_error import knowledge, motions
 from pitp_jax._plan.information import choose, gains, variance
 from pitp_jax._plan.next_recordings import greedy
 from pitp_jax._plan.page import page
+from pitp_jax._record.excited import tabulate
 from pitp_jax._simulate import ports
 from pitp_jax._simulate.decoder import rollout
 from pitp_jax._train.parameters import parameters, with_parameters
@@ -108,7 +111,7 @@ def test_alternating_polarity_turns_every_second_drive_over():
     [
         ({"band": (1.0, 10.0)}, "--max-voltage"),
         ({"max_voltage": 1e3}, "--band"),
-        (RIG | {"rate": 150.0}, "a tenth of Nyquist"),
+        (RIG | {"rate": 150.0}, "is too high for --rate"),
         (RIG | {"duration": 5.0}, "--duration 5 s is too short"),
         (RIG | {"max_slew": -1.0}, "--max-slew"),
         (RIG | {"choose_from": [STILL]}, "--choose-from needs"),
@@ -233,7 +236,7 @@ def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, followi
     assert all(r.stroke <= limit for r in found.recordings) and "left out" in found.notes[0]
     for r in found.recordings[:1]:
         assert 1e-3 * np.abs(read(model, r.voltage)).max() == pytest.approx(r.stroke, rel=1e-3)
-    with pytest.raises(pitp.BadInput, match="every drive is predicted to exceed it"):
+    with pytest.raises(pitp.BadInput, match="every planned input is predicted to exceed it"):
         pitp.plan(model, records, max_displacement=1e-9, **LENGTHS)
 
 
@@ -255,6 +258,14 @@ def test_an_identified_model_gets_a_space_filling_set(actuator):
     assert len(found.recordings) == 8 and not found.expected
     assert all(r.kind == "sine" and np.isfinite(r.stroke) for r in found.recordings)
     keeps(found, 2000.0, 5e4)
+    # what the model was not trained with comes first, within the same time
+    slow = tabulate([1000 * np.sin(2 * np.pi * 0.7 * 1e-3 * np.arange(20_000))], 1e-3)
+    again = pitp.plan(Fitted(actuator, Origin(excited_input=slow)), band=(0.5, 5.0), duration=40.0)
+    first = again.recordings[0]
+    assert "not trained" in first.purpose and again.seconds <= 40.0 + 1e-6
+    power = np.abs(np.fft.rfft(first.voltage - first.voltage.mean())) ** 2
+    hz = np.fft.rfftfreq(len(first.voltage), first.time[1] - first.time[0])
+    assert power[(hz > 0.75) & (hz < 5.5)].sum() > 0.8 * power.sum()
 
 
 # the command --------------------------------------------------------------------------------------------------------
@@ -286,7 +297,7 @@ def test_the_command_writes_drives_that_are_read_back_as_played(tmp_path, capsys
 def test_the_command_refuses_with_nothing_written(tmp_path, capsys):
     out = str(tmp_path / "plan")
     assert main(["plan", "--max-voltage", "6000", "--band", "1", "10", "--rate", "50", "--out", out]) == 2
-    assert "tenth of Nyquist" in capsys.readouterr().err and not list(tmp_path.iterdir())
+    assert "is too high for --rate" in capsys.readouterr().err and not list(tmp_path.iterdir())
 
 
 def test_the_command_takes_model_and_records_in_either_order(tmp_path, capsys, linear):
@@ -298,7 +309,7 @@ def test_the_command_takes_model_and_records_in_either_order(tmp_path, capsys, l
     assert main(["plan", str(tmp_path), "--out", str(tmp_path / "plan")]) == 2
     assert "is not a model file; give one model file" in capsys.readouterr().err
     assert main(["plan", str(model), str(other), "--out", str(tmp_path / "plan")]) == 2
-    assert "are 2 model files" in capsys.readouterr().err
+    assert "several model files" in capsys.readouterr().err
 
 
 def test_the_page_says_when_to_stop():
@@ -309,7 +320,7 @@ def test_the_page_says_when_to_stop():
 
 @pytest.mark.slow
 def test_the_page_tells_the_error_that_is_expected(following):
-    assert "expected to be off" in page(following, "model")
+    assert "the expected error of the model is" in page(following, "model")
 
 
 @pytest.mark.parametrize("slew", [2e5, 3e4, 5e6])

@@ -35,7 +35,7 @@ def test_an_electronic_output_stays_in_volts():
     axes = plot.prediction(T, X, Y, unit="V")
     np.testing.assert_array_equal(drawn(axes[0], 0)[1], X)
     assert axes[0].get_ylabel() == "output (V)"
-    with pytest.raises(ValueError, match="no output unit"):
+    with pytest.raises(ValueError, match="unknown output unit"):
         plot.prediction(T, X, Y, unit="mm")
 
 
@@ -118,7 +118,7 @@ def test_given_axes_are_used_and_counted():
     assert all(a is b for a, b in zip(back, axes, strict=True))
     ax = figure.add_subplot()
     assert plot.sweep_response(T, X, Y, ax) is ax
-    with pytest.raises(ValueError, match="needs 3 axes, got 2"):
+    with pytest.raises(ValueError, match="needs 3 axes, not 2"):
         plot.tracking(T, X, Y, U, axes)
 
 

@@ -53,17 +53,17 @@ def test_names_and_collisions(tmp_path):
 
 
 def test_folders(tmp_path):
-    assert "no record files" in refused(tmp_path)
+    assert "no recording files" in refused(tmp_path)
     (tmp_path / "notes.txt").write_text("x")
     (tmp_path / ".hidden.csv").write_text("x")
     (tmp_path / "inner").mkdir()
     save_csv(tmp_path / "inner" / "a.csv", columns())
-    assert "do not recurse" in refused(tmp_path)
+    assert "subfolders are not searched" in refused(tmp_path)
     save_csv(tmp_path / "b.csv", columns())
     save_h5(tmp_path / "a.h5", columns())
     assert [r.name for r in read(tmp_path)] == ["a", "b"]
     assert "no such file" in refused(tmp_path / "nothing")
-    assert "no records given" in refused()
+    assert "no recordings given" in refused()
     assert refused("a\0b")
 
 
@@ -179,7 +179,7 @@ def test_ranges_that_hold_nothing_are_refused(tmp_path):
     save_csv(tmp_path / "a.csv", columns())
     assert "--from and --to in seconds after its first row" in refused(tmp_path, from_s=1e6)
     for said in ({"from_s": 2.0, "to_s": 1.0}, {"from_s": -1.0}, {"to_s": float("nan")}):
-        assert "is not a range of time" in refused(tmp_path, **said)
+        assert "is not a time range" in refused(tmp_path, **said)
 
 
 @pytest.mark.parametrize("line", ["Date: 24.11.2026 14:00:49", "# recorded 2026-11-24T14:00:49", "Datum;24/11/26"])

@@ -102,7 +102,7 @@ def test_bytes_run_without_the_model(lagging):
 
 
 def test_what_needs_the_future_is_refused(nonlinear):
-    with pytest.raises(BadInput, match="band-limited"):
+    with pytest.raises(BadInput, match="hold 'bandlimited' has no real-time step"):
         decoder_step(nonlinear(2, hold="bandlimited"), DT)
     with pytest.raises(BadInput, match="effects"):
         inverse_step(eqx.tree_at(lambda m: m.effects, nonlinear(2), (1.0,)), DT)

@@ -49,7 +49,7 @@ def said(x, drive=PUSHED, **options):
 def test_an_unstable_plant_is_told_with_the_closed_loop_to_record(plant, pole):
     drive, x = held_up(*plant)
     (line,) = said(x + noise(1e-4), drive)
-    assert f"unstable: a pole at {pole}" in line and "Record the closed loop instead, its reference" in line
+    assert f"The plant is unstable: with a pole at {pole}" in line and "Identify the closed loop instead" in line
 
 
 def test_from_its_reference_it_is_identified():
@@ -96,7 +96,7 @@ def test_a_coefficient_without_influence_is_named():
     """Driven far below its resonance the mass hides in the noise; of the rest the damping is known worst."""
     slow = chirp(TIME, 0.05, TIME[-1], 0.25, phi=-90)
     lines = said(response(MODE, slow) + noise(0.1, 3), slow, order=2, leave_out=("delay",), hold="foh")
-    assert any("Without influence on these recordings, and therefore not known: a2" in line for line in lines)
+    assert any("Not known, because without influence on these recordings: a2" in line for line in lines)
     assert any(line.startswith("Least certain coefficient: a1 ") and "larger (one" in line for line in lines)
 
 
@@ -112,14 +112,14 @@ def test_a_delay_at_its_bound_is_told():
     slow = chirp(TIME, 0.03, TIME[-1], 0.1, phi=-90)
     late = np.interp(TIME - 5.5, TIME, slow, left=0.0)
     lines = said(response(MODE, late) + noise(0.01), slow, order=1, learn=("delay",), hold="foh")
-    assert any("the delay stands at the longest that is sought, 5 s" in line for line in lines)
+    assert any("The delay is at its upper limit of 5 s" in line for line in lines)
 
 
 def test_a_pole_at_its_bound_is_told_in_the_refusal():
     """Order 2 of a plant of order 1 whose lag is three samples, asked for: its second pole runs to the fastest."""
     quick = chirp(TIME, 0.1, TIME[-1], 60.0, phi=-90)
     x = response(([1.0], [3 * DT, 1.0]), quick) + noise(1e-3)
-    with pytest.raises(ComputationFailed, match="fastest that these samples could show, 95.5 Hz"):
+    with pytest.raises(ComputationFailed, match="highest frequency that this sampling can show, 95.5 Hz"):
         identify([Record("r", TIME, quick, x)], input_map="linear", order=2, leave_out=("delay",), hold="foh")
 
 

@@ -133,16 +133,20 @@ def test_a_running_motion_that_is_cut_is_still_only_at_its_turning_points(rate):
     assert still.sum() <= 10 and np.abs(np.cos(phases[still])).max() < 0.1
 
 
+@pytest.fixture(scope="module")
+def nominal():
+    return identify([record(SINE, motion(SINE), 1)], order=2).model.model
+
+
 @pytest.mark.parametrize("noise", [0.0, 1e-4, 1e-3])
 @pytest.mark.parametrize("hz", [0.5, 2.3, 6.0])
-def test_a_jump_at_the_first_sample_begins_at_rest(hz, noise):
+def test_a_jump_at_the_first_sample_begins_at_rest(nominal, hz, noise):
     """The drive is high at once, the output still at its zero: neither held nor moving, whatever the noise."""
     drive = 1000 + 800 * np.sin(2 * np.pi * hz * TIME)
     x = motion(drive)
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
     y = x + 1e-3 + noise * np.ptp(x) * np.random.default_rng(3).standard_normal(len(x))
     jump = Record("jump", TIME, drive, y)
-    (begun,), _ = beginnings(model, [jump], [0.0])
+    (begun,), _ = beginnings(nominal, [jump], [0.0])
     assert is_still(jump, OMEGA) and begun.begins == "rest"
     assert begun.zero == pytest.approx(1e-3, abs=max(5 * noise, 1e-3) * np.ptp(x))
 

@@ -101,7 +101,7 @@ def test_topics_are_listed_where_nothing_says_which(tmp_path):
 def test_a_damaged_log_is_one_line(tmp_path):
     pytest.importorskip("rosbags")
     (tmp_path / "a.mcap").write_bytes(b"\x89MCAP0\r\n" + bytes(300))
-    with pytest.raises(pitp.BadInput, match="not readable as a robot log"):
+    with pytest.raises(pitp.BadInput, match="cannot be read as a robot log"):
         pitp.read(tmp_path / "a.mcap")
 
 

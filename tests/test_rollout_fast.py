@@ -9,7 +9,7 @@ from typed import untyped
 
 from pitp_jax import rest_state
 from pitp_jax._model import ElapsedTime, ElectrodeLag, PaperEncoder
-from pitp_jax._simulate.batched_rollout import fast_rollout
+from pitp_jax._simulate.batched_rollout import fast_rollout, rows_rollout, steps_at_once
 from pitp_jax._simulate.decoder import rollout, rollout_batch
 
 DT, SAMPLES = 1e-3, 250
@@ -64,6 +64,16 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
     scanned = rollout(model, volts[0], DT, start[0])
     monkeypatch.setattr("pitp_jax._simulate.decoder.UNROLLED", 6)
     np.testing.assert_allclose(scanned, rollout(model, volts[0], DT, start[0]), rtol=0, atol=1e-5)
+
+
+@pytest.mark.slow
+def test_several_samples_an_iteration_are_the_same_samples(nonlinear):
+    """As on a GPU; 250 samples are no multiple of 8."""
+    model = nonlinear(2)
+    volts, start = runs(model, 2)
+    one, eight = (jax.jit(lambda k=k: rows_rollout(model, volts, DT, start, k))() for k in (1, 8))
+    assert steps_at_once() == (1 if jax.default_backend() == "cpu" else 8)
+    np.testing.assert_allclose(eight, one, rtol=0, atol=2e-6 * np.abs(one).max())
 
 
 @pytest.mark.slow

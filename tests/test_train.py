@@ -237,11 +237,11 @@ def test_what_does_not_move_is_left_out_and_told(plant, first):
     noise = 2e-6 * np.random.default_rng(3).standard_normal(SAMPLES)
     still = [Record(name, TIME, np.zeros(SAMPLES), x) for name, x in (("rest", noise), ("dead", 0 * noise))]
     found = train(nominal, [*records, *still], settings=TINY, key=KEY)
-    assert found.notes["left_out"] == ("left out, since they do not move beyond their noise: rest, dead",)
+    assert found.notes["left_out"] == ("left out, because they show no motion beyond their noise: rest, dead",)
     assert found.notes["records"] == [r.name for r in records]
     for here, there in zip(leaves(found.model), leaves(first.model), strict=True):
         np.testing.assert_array_equal(here, there)
-    with pytest.raises(BadInput, match="no record moves"):
+    with pytest.raises(BadInput, match="no recording shows motion"):
         train(nominal, still[1:], settings=TINY, key=KEY)
 
 
@@ -259,7 +259,7 @@ def test_nothing_left_to_train_on(plant):
     nominal, records, _ = plant
     x = records[0].displacement.copy()
     x[::8] = np.nan
-    with pytest.raises(BadInput, match="no sample of these records survives"):
+    with pytest.raises(BadInput, match="no sample of these recordings remains"):
         train(nominal, [Record("sieve", TIME, records[0].voltage, x)], settings=TINY, key=KEY)
     with pytest.raises(BadInput, match="unknown preset 'fast'"):
         train(nominal, records, preset="fast", key=KEY)
@@ -342,7 +342,7 @@ def test_training_that_fails_hands_back_the_nominal(plant):
     nominal, records, _ = plant
     wild = replace(QUICK, rate=3.0, epochs=3)
     found = train(nominal, records, settings=wild, key=KEY)
-    assert any("handed back" in line for line in found.problems)
+    assert any("is returned" in line for line in found.problems)
     runs = zip(predict(found.model, records), records, found.errors, strict=True)
     for p, r, e in runs:
         assert e.trained == pytest.approx(e_rms_percent(p.displacement, r.displacement), rel=1e-3)

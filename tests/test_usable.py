@@ -41,7 +41,7 @@ def test_what_does_not_move_is_left_out(nominal):
     records = play(nominal)
     kept, notes = usable([*records, resting("rest", 2e-6), resting("dead", 0.0)])
     assert [r.name for r in kept] == [r.name for r in records]
-    assert notes == ("left out, since they do not move beyond their noise: rest, dead",)
+    assert notes == ("left out, because they show no motion beyond their noise: rest, dead",)
     rng = np.random.default_rng(6)  # a drive read by a monitor, and a sensor with noise of long memory
     slow = 2e-5 * np.asarray(lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], rng.standard_normal(SAMPLES)))
     read = replace(resting("read", 0.0), voltage=2 * rng.standard_normal(SAMPLES), displacement=slow)
@@ -53,7 +53,7 @@ def test_what_does_not_move_is_left_out(nominal):
 @pytest.mark.parametrize(
     ("records", "told"),
     [
-        (lambda r: [resting("rest", 0.0)], "no record moves"),
+        (lambda r: [resting("rest", 0.0)], "no recording shows motion"),
         (lambda r: [*r, replace(r[0], voltage=r[1].voltage)], "2 records are named 'sweep'"),
     ],
     ids=("still", "twice"),

@@ -1,13 +1,15 @@
-"""Free runs of 32 records of 10,000 steps, default preset, beside a PyTorch loop, deepSI, diffrax and torchdiffeq.
+"""The public `free_run`, vmapped over 32 records of 10,000 steps, beside PyTorch, deepSI, diffrax and torchdiffeq.
 
 General solvers run at the decoder's own error (`ode`); PyTorch ones on the first tenth of the record, their time
 counted tenfold.
 """
 
+import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax import rest_state
+from pitp_jax import free_run, rest_state
 from pitp_jax._simulate.batched_rollout import fast_rollout
 from pitp_jax._simulate.decoder import rollout_batch
 
@@ -17,6 +19,12 @@ from ..sizes import size
 from ..subjects import DT, default, voltages
 
 RECORDS, STEPS, CHECKED, PART = size((32, 10_000, 4, 10), (2, 100, 2, 2))
+
+
+@eqx.filter_jit
+def many(model, volts):
+    """The public free run, batched by the caller."""
+    return jax.vmap(free_run, (None, 0))(model, volts)
 
 
 def torch_ways(model, film, start, truth) -> tuple[dict, dict, str]:
@@ -44,7 +52,7 @@ def measure(seconds: float) -> dict:
     film = films(model, volts, DT)
     truth = reference(model, film[:CHECKED], start[:CHECKED], DT)
     ours = error(fast_rollout(model, volts[:CHECKED], DT, start[:CHECKED]), truth)
-    ways = {"pitp_jax": lambda: fast_rollout(model, volts, DT, start)}
+    ways = {"pitp_jax": lambda: many(model, volts), "pitp_jax, rows": lambda: fast_rollout(model, volts, DT, start)}
     ways["pitp_jax, vmapped"] = lambda: rollout_batch(model, volts, DT, start)
     solvers, errors = diffrax_ways(model, film, start, truth, DT)
     torched, torch_errors, why = torch_ways(model, film, start, truth)

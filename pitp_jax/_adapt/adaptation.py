@@ -142,7 +142,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
 
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
-    """Accept a change if it lowers the error; far above the model's own level neither model holds."""
+    """Accept a change if it lowers the error; advise retraining if the error stays far above the model's own level."""
     verdict: Verdict = "unchanged"
     remaining = before
     if new is not None and after is not None and after < _KEPT * before:
@@ -155,8 +155,8 @@ def _verdict(model, new, changed, before: float, after: float | None, heldout: b
 
 
 _ADVICE = (
-    "no factor on a part of the model explains this recording; record a sweep through the resonance and a few sines "
-    "over the driven range, then `pitp diagnose` with this model, or `pitp fit` anew"
+    "no factor on a single part of the model explains this recording; record a sweep through the resonance and a few "
+    "sines over the input range, then run `pitp diagnose` with this model, or `pitp fit` again"
 )
 
 
@@ -168,7 +168,7 @@ def _model_error(fit: Fit, seen: Session, own: float) -> float:
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:
-    """Return whether a half of every recording moves enough to fit on it, and to test on it."""
+    """Return whether the chosen half of every recording moves at least a fifth as much as the whole recording."""
     counts = seen.weight > 0
     spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
                for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip
@@ -176,7 +176,7 @@ def _moves(seen: Session, half: np.ndarray) -> bool:
 
 
 def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
-    """Return the named parameters, with intervals in which the others may have any value.
+    """Return the named parameters with intervals that allow any value of the others.
 
     A parameter without a reported change is not known to be 1.
     """

@@ -24,7 +24,7 @@ _ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at mo
 def covariance(
     residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], model_error: float
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """Return C of a least-squares estimate from its residuals, their slopes, and the model's error without noise."""
+    """Return C of a least-squares estimate from its residuals, their derivatives, and the noise-free model error."""
     count = jacobian.shape[1]
     slopes = np.fft.rfft(jacobian.reshape(*residual.shape, -1), axis=1)
     power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
@@ -56,7 +56,7 @@ def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
 
 
 def directions(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """Return A, the change of all numbers by the named ones, shape (numbers, names)."""
+    """Return A, which maps changes of named parameters to all coordinates, shape (numbers, names)."""
     return np.stack([factors.direction(n) for n in names], 1) if names else np.zeros((len(factors.names), 0))
 
 
@@ -66,7 +66,7 @@ def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
 
 
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
-    """Choose no parameter if no change has the most evidence; otherwise the subset of least z' C^-1 z + 4 size.
+    """Choose the changed parameters: none without evidence of a change, otherwise the least z' C^-1 z + 4 size.
 
     The evidence, with its priors, decides whether anything changed. The estimate alone decides which parameters
     changed; each must differ by two standard deviations.
@@ -95,6 +95,6 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
 
 
 def combined(moves: np.ndarray, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Combine an estimate of all numbers into the named ones nearest to it: (A' C^-1 A)^-1 A' C^-1 z."""
+    """Return the named parameters nearest to an estimate of all coordinates: (A' C^-1 A)^-1 A' C^-1 z."""
     weighed = np.linalg.solve(spread, moves)
     return np.linalg.solve(moves.T @ weighed, weighed.T @ z)

@@ -65,7 +65,7 @@ class Factors(NamedTuple):
         return np.array([times.get(n, -np.inf) for n in self.names])
 
     def own(self, name: str) -> float:
-        """Return the model's own time of that name, s."""
+        """Return the model's own value of that time constant, s."""
         return float(self.tau if name == "electrode_tau" else self.delay)
 
     def factor(self, name: str, q: float) -> float:
@@ -137,7 +137,7 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
 
 
 def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
-    """Wrap the plain encoder once; an adapted one is adapted further, not wrapped again."""
+    """Wrap the encoder for adaptation; an adapted encoder is adapted further, not wrapped again."""
     outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
     offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
     own, reach = model.encoder, factors.reach

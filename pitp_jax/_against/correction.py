@@ -39,7 +39,7 @@ def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.n
 
 
 def _input(model: Model | Fitted, voltage: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the input whose force is that of `voltage` plus `force`; a squared input cannot push."""
+    """Return the input whose force is that of `voltage` plus `force`; a squared input has no negative force."""
     if model.input_map.name == "linear":
         return voltage + force
     return np.where(voltage < 0, -1.0, 1.0) * np.sqrt(np.maximum(voltage**2 + force, 0.0))

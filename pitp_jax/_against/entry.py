@@ -78,12 +78,12 @@ def diagnose(
     options = {"exclude": exclude, "seconds": seconds, "progress": progress, "mesh": mesh}
     if against is None:
         if position_gain is not None:
-            raise BadInput("position_gain is for against=: it is the simulator's")
+            raise BadInput("position_gain only works with against=; it is the gain of the simulator's controller")
         if records is None:
             raise BadInput("give diagnose(model, records), or diagnose(records, against=simulated)")
         return diagnose_model(model, records, refit_nominal=refit_nominal, **options)
     if records is not None or refit_nominal:
-        raise BadInput("with against= give the real recordings alone: no model and no refit_nominal")
+        raise BadInput("with against=, give only the real recordings, no model and no refit_nominal")
     return _against(model, against, position_gain, options)
 
 
@@ -93,7 +93,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     pairs = pair_records(real, simulated, shared="second")
     if not pairs.pairs:
         name, why = pairs.first_alone[0]
-        raise BadInput(f"no recording of the simulator has the command of one of the robot's; {name}: {why}")
+        raise BadInput(f"no recording of the simulator has the same command as one of the robot; {name}: {why}")
     say = options["progress"]
     say("identifying the simulator")
     found, own, gap = simplest_model(simulated, real)

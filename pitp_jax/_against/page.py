@@ -15,7 +15,7 @@ _DRAWN = 12  # recordings
 
 
 def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray], str]] | None = None) -> str:
-    """Return a self-contained HTML page; `drawn`: its `figures`, which the page makes small; None draws them."""
+    """Return a self-contained HTML page; `drawn`: its `figures`, which are reduced in size; None draws them."""
     shown = figures(found) if drawn is None else drawn
     pictures = [html.picture(name, each, caption) for name, (each, _, caption) in shown.items()]
     parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
@@ -23,22 +23,22 @@ def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray],
 
 
 def first_screen(found: SimToReal) -> str:
-    """Return headline and parameters, without the page around."""
+    """Return headline and parameters as HTML without the page frame."""
     return "".join(_first(found))
 
 
 def _headline(found: SimToReal) -> str:
     if found.verdict == "no_gap":
-        return "The simulator does what the robot does"
+        return "The simulator agrees with the robot"
     lacking = [e.replace("_", " ") for e in found.effects if e != "parameter_change"]
     said = [f"lacks {' and '.join(lacking)}"] if lacking else []
-    said += ["has other numbers"] if len(lacking) < len(found.effects) else []
+    said += ["has different parameters"] if len(lacking) < len(found.effects) else []
     if said:
         return f"The simulator {', and '.join(said)}"
     if found.robot.handed_back:
         before, after = (of_range(e) for e in (found.robot.gap.before, found.robot.gap.after))
-        return f"The numbers below reduce the difference from {before} to {after} of range; no single cause is certain"
-    return "The simulator and the robot differ, and no effect of the catalogue reduces the difference"
+        return f"These parameters reduce the difference from {before} to {after} of range; no single cause is certain"
+    return "The simulator and the robot differ, and no effect in the catalogue reduces the difference"
 
 
 def _first(found: SimToReal) -> list[str]:
@@ -48,7 +48,7 @@ def _first(found: SimToReal) -> list[str]:
         tag("h1", _headline(found), "explained" if found.effects else "unknown"),
         *(tag("p", text) for text in lines),
         html.bullets(found.remarks()),
-        tag("h2", "Numbers to type into the simulator"),
+        tag("h2", "Parameters to type into the simulator"),
         _table(found),
         *_budget(found),
     ]
@@ -68,22 +68,27 @@ def _table(found: SimToReal) -> str:
         "Bold: reported by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
         "difference."
     )
-    kp = " Kp is the gain of the position controller; give --position-gain to have torques." if gain else ""
+    kp = " Kp is the gain of the position controller; give --position-gain to get torques." if gain else ""
     return html.table(header, rows, dict.fromkeys((0, 4, 5, 6), "long")) + tag("p", note + kp, "soft")
 
 
 def _budget(found: SimToReal) -> list[str]:
     budget = found.budget
-    words = {"nuisance": "zeros and starts", "parameters": "moved parameters", "simulator": "the simulator's own model",
-             "unnamed": "explainable, without a name", "unexplainable": "not explained by the input"}  # fmt: skip
+    words = {
+        "nuisance": "sensor offsets and initial states",
+        "parameters": "changed coefficients",
+        "simulator": "the model of the simulator",
+        "unnamed": "predictable from the input, no single cause certain",
+        "unexplainable": "not predictable from the input",
+    }
     parts = [(name, row["share"]) for name, row in budget.get("effects", {}).items()]
     parts += [(text, budget[key]["share"]) for key, text in words.items() if key in budget]
     rows = [("", (name, percent(share))) for name, share in parts]
-    return [tag("h2", "Where the gap goes"), html.table(("part", "of the gap's energy"), rows, {})]
+    return [tag("h2", "Parts of the gap"), html.table(("part", "of the gap's energy"), rows, {})]
 
 
 def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], str]]:
-    """Return per recording the robot with the simulator and the correction: figure, its numbers, caption."""
+    """Return figure, numbers and caption for every recording: robot, simulator and correction."""
     made = {}
     for pair in found.pairs.pairs[:_DRAWN]:
         name = pair.first.name.replace("/", "_")
@@ -96,7 +101,7 @@ def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], 
         part = some_periods(shown)
         line(ax, time[part], shown[part], color=DRIVE, lw=0.9)
         finish(np.array([ax]), "time from the start (s)", [f"added input ({shown_unit(unit)})"])
-        caption = f"{record.name}: added to the simulator's input, this gives the robot's output"
+        caption = f"{record.name}: add this to the simulator's input to get the robot's output"
         assert isinstance(ax.figure, Figure)
         made[f"correction_{name}"] = (ax.figure, {"time_s": record.time, f"added_input_{unit}": shown}, caption)
     return made

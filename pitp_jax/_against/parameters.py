@@ -63,11 +63,11 @@ _NAMES = {
     "softening weight": Names("weight on the arm, m g l", "mass of the body", "mass of the link", "inertial mass"),
     "coulomb_friction level": Names("dry friction", "joint frictionloss", "dynamicFrictionEffort", "dynamics friction"),
     "coulomb_friction rise": Names(
-        "static over dry friction, less 1", "-", "staticFrictionEffort: dry friction (1 + it)"
+        "static over dry friction, minus 1", "-", "staticFrictionEffort: dry friction (1 + it)"
     ),
     "coulomb_friction speed": Names("speed over which dry friction changes"),
-    "coulomb_friction give": Names("way that dry friction gives before it slides"),
-    "coulomb_friction mu": Names("dry friction over the spring's force"),
+    "coulomb_friction give": Names("distance that the contact gives before it slides"),
+    "coulomb_friction mu": Names("dry friction over the spring force"),
     "delay time": Names("delay of the command", "actuator delay", "DelayedPDActuatorCfg max_delay (steps)"),
     "backlash width": Names(
         "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
@@ -259,7 +259,7 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
 
 
 def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
-    """Yield the contributions of one effect to a side, as simulator parameters if they exist."""
+    """Yield the contributions of one effect to the parameters of the simulator or the robot."""
     base = base_units(units_of(model))  # a simulator's units
     told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
     errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
@@ -290,7 +290,7 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             if p.name == "inverse":  # stored so that 0 means no limit; reported as the limit
                 error = None if error is None or not value else error / value**2
                 value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
-                if p.force:  # a limit of the drive's force
+                if p.force:  # a limit of the actuator's force
                     value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # by its force, not by its unit: a backlash in rad is not a command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error

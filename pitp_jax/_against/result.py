@@ -89,7 +89,7 @@ class SimToReal:
         return [*gain, *found, *notes[len(gain) :]]
 
     def remarks(self) -> list[str]:
-        """Return remarks for the user beside the table of parameters, in sentences."""
+        """Return remarks for the user on the parameters, in sentences."""
         found = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
@@ -99,7 +99,7 @@ class SimToReal:
             )
         if self.simulator_share[0] >= 0.05:
             found.append(
-                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the model of the simulator itself."
+                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
             )
         return [*found, *self.pairs.remarks("robot", "simulator")]
 
@@ -121,7 +121,7 @@ class SimToReal:
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """Return one row per parameter: the simulator's value, the robot's, the difference, and its names."""
+        """Return one row per parameter: simulator's value, robot's value, difference, and names in other programs."""
         return data_frame(as_rows(self.parameters))
 
     def as_json(self, csv: str | None = None) -> dict[str, Any]:

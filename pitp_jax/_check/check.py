@@ -120,7 +120,7 @@ class Check(Shown):
         few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")
         at = "" if self.resonance_hz is None else f", resonance near {self.resonance_hz:.3g} Hz"
         named = f" ({few})" if few else ""
-        lines = [f"Check of {counted(len(self.records), 'record')}{at}: {len(self.problems)} with problems{named}"]
+        lines = [f"Check of {counted(len(self.records), 'recording')}{at}: {len(self.problems)} with problems{named}"]
         return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
 
 
@@ -163,7 +163,7 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
     input_map = model.input_map.name if model is not None else fitted.input_map if fitted else "square"
     rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
     turned = _turned(rows)
-    more = dict.fromkeys(turned, "its sensor reads against the direction of most others") | apart
+    more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
     rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
     cover = coverage(used, input_map, resonance) if used and resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
@@ -196,10 +196,10 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
     apart = {}
     for r in records:
         if abs(r.dt / dt - 1) > RATE_TOLERANCE:
-            apart[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz: give it in another call"
+            apart[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz; use it in a separate call"
         elif base_unit(r.displacement_unit) != kind:
             apart[r.name] = (
-                f"its output is in {r.displacement_unit}, that of the others in {kind}: choose --output-column"
+                f"its output is in {r.displacement_unit}, but the others are in {kind}; give --output-column"
             )
     return apart
 
@@ -220,7 +220,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         begun, e_rms = beside.beginning, beside.e_rms_percent
         direction, colour = int(begun.direction), beside.colour
         noise = beside.coloured if beside.coloured is not None else noise
-        problems += [beside.problem] if beside.problem else []
+        problems += [text for text in (beside.problem, beside.not_excited) if text]
     shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
     # an infinite standard error means that the offset was not measured
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]

@@ -42,23 +42,23 @@ class Coverage:
     unit: str = "V"
 
     def advice(self) -> list[str]:
-        """Return a sentence for every gap, and one if the amplitude beside the resonance never changes."""
+        """Return a sentence for every gap, and one if the amplitude near the resonance never changes."""
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
-            by = " (of the force: a drive without bias runs at half of that)" if self.doubled else ""
+            by = " (frequencies of the force; an input without bias runs at half of them)" if self.doubled else ""
             one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
-                f"nothing between {_two(low)} and {_two(high)} Hz above half the amplitude ({self._size(half)}), "
-                f"beside the resonance at {_two(f0)} Hz: take a slow sweep, or sines at {_two(one)} and {_two(other)} "
-                f"Hz, of {self._size(1.6 * half)}{by}"
+                f"nothing between {_two(low)} and {_two(high)} Hz, near the resonance at {_two(f0)} Hz, exceeds half "
+                f"the amplitude ({self._size(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} "
+                f"Hz of {self._size(1.6 * half)}{by}"
             )
         # The amplitude matters most here, because the motion is largest.
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
-                f"all drives beside the resonance at {_two(f0)} Hz have nearly one amplitude "
-                f"({self._size(near.max())}): add some of {self._size(near.max() / 2)}, or what depends on the "
-                "amplitude cannot be learned"
+                f"all inputs near the resonance at {_two(f0)} Hz have almost the same amplitude "
+                f"({self._size(near.max())}), so effects of the amplitude cannot be learned; add some of "
+                f"{self._size(near.max() / 2)}"
             )
         return lines
 
@@ -111,7 +111,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
-    """Return the gaps between excited frequencies, and those to the ends of the range beside the resonance."""
+    """Return the gaps between excited frequencies, and those to the ends of the range near the resonance."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]

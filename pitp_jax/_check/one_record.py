@@ -76,7 +76,7 @@ def facts(record: Record) -> Facts:
     problems = [
         f"{Remark(kind, record.name, count)}: {advice}"
         for kind, count, advice in (
-            ("outliers", outliers if outliers > _MANY * record.samples else 0, "look at the sensor"),
+            ("outliers", outliers if outliers > _MANY * record.samples else 0, "check the sensor"),
             ("clipped", clipped, "move the sensor or widen its range"),
         )
         if count
@@ -92,16 +92,18 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
     if record.missing > _MUCH * record.samples:
         problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
     if band is None:
-        problems.append("its drive never changes: it tells nothing but noise and drift")
+        problems.append("its input never changes, so it shows only noise and drift; leave it out")
     elif not moves(record):
         spread = from_base(noise, record.displacement_unit)
         problems.append(
-            f"does not move beyond its noise of {spread:.2g} {record.displacement_unit}: look at sensor and amplifier"
+            f"shows no motion beyond its noise of {spread:.2g} {record.displacement_unit}; check sensor and amplifier"
         )
     # steps have no highest frequency: their band ends where their edges are sampled
     if band and (per := 1 / (band[1] * record.dt)) < _FEW_PER_PERIOD and kind(record) != "steps":
         least = _FEW_PER_PERIOD * band[1]
-        problems.append(f"only {per:.1f} samples a period of its fastest input: sample at {least:.3g} Hz or more")
+        problems.append(
+            f"has only {per:.1f} samples in a period of its fastest input; sample at {least:.3g} Hz or more"
+        )
     return problems
 
 
@@ -115,7 +117,7 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
     # the median, so that one record in other units does not change the usual value
     usual = float(np.median(reach))
     return lines + [
-        f"{r.name}: moves {x / usual:.2g} times as far per volt as most others: is its unit right?"
+        f"{r.name}: moves {x / usual:.2g} times as far per volt as most others; check its unit"
         for r, x in zip(records, reach, strict=True)
         if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT)
     ]

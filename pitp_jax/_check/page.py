@@ -25,14 +25,14 @@ def page(check: Check) -> str:
         check: result of `pitp check` for a set.
     """
     many, wrong = len(check.records), len(check.problems)
-    title = f"{counted(many, 'record')}, {wrong or 'none'} with problems"
+    title = f"{counted(many, 'recording')}, {wrong or 'none'} with problems"
     parts = [
-        tag("p", "Check: what was read, and whether it is enough", "soft"),
+        tag("p", "Check: what was read, and whether it is sufficient", "soft"),
         tag("h1", title, "unknown" if wrong else "explained"),
         html.bullets(check.advice),
-        tag("h2", "Problems of single records") if wrong else "",
+        tag("h2", "Problems of single recordings") if wrong else "",
         html.bullets([f"{name}: {line}" for name, lines in check.problems.items() for line in lines]),
-        tag("h2", "Mended as they were read") if check.repaired else "",
+        tag("h2", "Corrected while reading") if check.repaired else "",
         html.bullets(check.repaired),
         tag("h2", "Records"),
         *_table(check),
@@ -49,8 +49,8 @@ def _table(check: Check) -> list[str]:
     )  # fmt: skip
     rows = [("named" if row.problems else "", (name, *_cells(row))) for name, row in check.records.items()]
     note = (
-        "Bold: with problems. measured = direction × displacement + zero; a dash where it cannot be known. Columns of "
-        "zeros are left out."
+        "Bold: with problems. measured = direction × displacement + zero (the sensor's offset); a dash: not known. "
+        "Columns of zeros are left out."
     )
     return [tag("p", note, "soft"), html.telling_table(header, rows, {1: "left", 5: "left", 11: "long"})]
 
@@ -80,7 +80,10 @@ def _coverage(check: Check) -> list[str]:
     ax.axvline(c.resonance, color="#000000", lw=0.8, ls="--")
     ax.set(xscale="log", ylim=(0, 1.05 * drive.shown(c.largest)))
     finish(np.array([ax]), "frequency of the force (Hz)", [f"amplitude of the input ({shown_unit(drive.unit)})"])
-    caption = "What was excited, window by window; dashed: the resonance; shaded: nothing above half the amplitude."
+    caption = (
+        "Excited frequencies and amplitudes, one point a time window. Dashed: the resonance. Shaded: nothing exceeds "
+        "half the amplitude."
+    )
     return [tag("h2", "Coverage"), f'<div class="figures">{_picture("coverage", ax.figure, caption)}</div>']
 
 
@@ -96,13 +99,13 @@ def _pictures(check: Check) -> list[str]:
         for k, r in enumerate(check.understood[:_DRAWN])
     ]
     more_records = len(check.understood) - len(shown)
-    more = [tag("p", f"and {more_records} more, which the CSV files hold", "soft")] if more_records > 0 else []
-    return [tag("h2", "As they were read"), f'<div class="figures">{"".join(shown)}</div>', *more] if shown else []
+    more = [tag("p", f"and {more_records} more, in the CSV files", "soft")] if more_records > 0 else []
+    return [tag("h2", "The recordings as read"), f'<div class="figures">{"".join(shown)}</div>', *more] if shown else []
 
 
 def _begins(row: CheckedRecord) -> str:
-    words = {"rest": "begins at rest", "held": "begins settled at a held drive", "moving": "starts moving"}
-    return words.get(row.begins or "", "its beginning is not known")
+    words = {"rest": "starts at rest", "held": "starts settled at a held input", "moving": "starts moving"}
+    return words.get(row.begins or "", "initial state not known")
 
 
 def _drawn(record: Record) -> Figure:

@@ -34,22 +34,25 @@ def set_advice(
         turned: records whose sensor is reversed relative to most.
     """
     if not used:
-        return ["no record moves under a drive: nothing can be identified from these; look at sensor and amplifier"]
+        return [
+            "no recording shows motion under a changing input, so nothing can be identified; check sensor and amplifier"
+        ]
     lines = []
     poor = [name for name, row in beside.items() if row.problem and row.e_rms_percent is not None]
     if poor:
         lines.append(
-            f"the model does not explain {len(poor)} of {len(used)} records ({_some(poor)}): `pitp diagnose` says why"
+            f"the model does not explain {len(poor)} of {len(used)} recordings ({_some(poor)}); run `pitp diagnose` "
+            "to find the cause"
         )
     strange = [name for name, row in fitted.records.items() if row.strange] if fitted else []
     if strange:
-        lines.append(f"{_some(strange)} may not belong to this set: look at them, or leave them out")
+        lines.append(f"{_some(strange)} may not belong to this set; check them, or leave them out")
     if turned:
-        lines.append(f"the sensor is reversed in {_some(turned)}: taken into account, but look at its sign")
+        lines.append(f"the sensor is reversed in {_some(turned)}; this is taken into account, but check its sign")
     if not beside and fitted is None:
-        lines.append("no linear model could be fitted quietly: beginnings, zeros and directions are not known")
+        lines.append("no linear model could be fitted, so initial states, sensor offsets and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
-        lines.append("a force proportional to the input explains these better than its square: --input-map linear")
+        lines.append("a force proportional to the input explains these better than its square; give --input-map linear")
     lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()
@@ -57,7 +60,7 @@ def set_advice(
         # without a peak there is no period to sample
         if per < _PER_PERIOD and (fitted is None or fitted.damping < _PEAKS):
             lines.append(
-                f"{per:.1f} samples a period of the resonance at {cover.resonance:.3g} Hz are few: sample at "
+                f"{per:.1f} samples in a period of the resonance at {cover.resonance:.3g} Hz are few; sample at "
                 f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"
             )
     # None: the initial state is not known
@@ -67,7 +70,7 @@ def set_advice(
             f"0 {used[0].voltage_unit}",
             "displacement" if base_unit(used[0].displacement_unit) == "m" else "output",
         )
-        lines.append(f"no record begins at rest at {none}: start one there, or the {what} at {none} is a guess")
+        lines.append(f"no recording starts at rest at {none}, so the {what} there is not known; start one there")
     lines += _floor(repeats, cycles)
     return lines
 
@@ -99,8 +102,8 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
     low, high, most = (float(from_base(float(v), unit)) for v in (zeros.min(), zeros.max(), middle))
     places = max(1 - int(np.floor(np.log10(high - low))), 0)  # two digits of the difference
     return [
-        f"the sensor's zero differs between recordings by up to {high - low:.2g} {unit} (in most it is "
-        f"{most:.{places}f} {unit}): each recording gets its own zero; no action is needed"
+        f"the sensor offset differs between recordings by up to {high - low:.2g} {unit} (in most it is "
+        f"{most:.{places}f} {unit}); each recording gets its own offset, no action is needed"
     ]
 
 
@@ -110,20 +113,20 @@ def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
     if known:
         worst = max(known, key=lambda r: r.percent)
         return [
-            f"drives played twice agree to {np.median([r.percent for r in known]):.2g} % of range"
+            f"inputs played twice give outputs that agree to {np.median([r.percent for r in known]):.2g} % of range"
             + (
                 f" (worst {worst.percent:.2g} %: {_some(worst.names)})"
                 if len(known) > 1
                 else f" ({_some(worst.names)})"
             )
-            + ": no model can be asked for less"
+            + "; no model can do better"
         ]
     if cycles:
         return [
-            f"cycles within a record repeat to {np.median(list(cycles.values())):.2g} % of range; record one drive "
+            f"cycles within a recording repeat to {np.median(list(cycles.values())):.2g} % of range; record one input "
             "twice to measure repeatability"
         ]
-    return ["no drive was played twice: repeat one record to know what the rig itself repeats"]
+    return ["no input was played twice; repeat one recording to measure how well the rig repeats"]
 
 
 def _some(names: Sequence[str]) -> str:

@@ -27,7 +27,7 @@ _MOST = 300_000  # samples in all
 _ROUNDS = 3
 _HALVED = 6  # records from which halves of the set are tried
 _EXACT = 1e-6  # fraction unexplained of a record without noise
-_FEWEST = 3  # records needed to say that one differs from most
+_FEWEST = 3  # records needed to find one that differs from most
 _SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
 _UNEXPLAINED = 0.3  # fraction from which a record may not belong
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
@@ -86,7 +86,7 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """Return the fit with the common poles of most records: of all, or of a half, then of those that belong."""
+    """Return the fit with common poles, after excluding records that do not belong to the set."""
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))
@@ -112,7 +112,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
-    """Return the poles (`linear_ode`) of some records, and every record compared with them."""
+    """Fit common poles (`linear_ode`) to some records, and compare every record with them."""
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
@@ -128,7 +128,7 @@ def _usual(rows: Sequence[Beside]) -> float:
 
 
 def _doubtful(rows: Sequence[Beside]) -> bool:
-    """Return whether one record may have changed the poles of all."""
+    """Return whether the common poles are doubtful: two sensor directions, or a record that they do not explain."""
     directions = {row.beginning.direction for row in rows if row.tells}
     return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 
@@ -205,11 +205,11 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
     if off and not poor:
         near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
         if abs(np.log(gain / near)) < 0.3:
-            return f"moves {gain:.3g} times as far as the others under its drive: is its unit or scale wrong?"
-        return f"moves {gain:.2g} times as far as the others under its drive: another actuator, preload or scale?"
+            return f"moves {gain:.3g} times as far as the others under its input; check its unit and scale"
+        return f"moves {gain:.2g} times as far as the others under its input; check preload, scale and actuator"
     if poor:
         return (
-            f"does not belong: one linear model leaves {100 * row.unexplained:.0f} % of it and {100 * usual:.0f} % of "
-            "most others (another actuator, another input, or a broken sensor?)"
+            f"does not fit the others: one linear model leaves {100 * row.unexplained:.0f} % of it unexplained and "
+            f"{100 * usual:.0f} % of most others; check whether actuator, input or sensor changed"
         )
     return ""

@@ -23,13 +23,17 @@ _TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
 
 @dataclass(frozen=True)
 class Explained:
-    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem."""
+    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem.
+
+    `not_excited`: the sentence on what the model was not trained with.
+    """
 
     beginning: Beginning
     e_rms_percent: float | None
     coloured: float | None
     colour: str | None
     problem: str
+    not_excited: str
 
 
 def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
@@ -47,14 +51,15 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
         own = misfit * floor if np.isfinite(misfit) else 0.0
         bound = max(_LEAST, _NOISES * floor, _TIMES * max(own, min(usual, _MOST / _TIMES)))
         if not np.isfinite(error):
-            problem = "the model diverges on it" if p.diverged else "nothing of it can be scored"
+            problem = "the model diverges on it" if p.diverged else "it holds no samples to score"
         else:
             most = f" ({usual:.2g} % of most of these)" if usual < error / 2 else ""
-            problem = f"the model does not explain it: {error:.3g} % of range left{most}" if error > bound else ""
+            problem = f"the model does not explain it: error {error:.3g} % of range{most}" if error > bound else ""
         residual = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
         top = drive_band(r)[1] * (2 if square else 1)
         coloured = coloured_noise(residual, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
         begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
         colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
-        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem)
+        explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem,
+                                     p.not_excited)  # fmt: skip
     return explained

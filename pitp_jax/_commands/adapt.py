@@ -36,7 +36,7 @@ def adapt(model, records, out, json_file, reading) -> None:
 
 def print_adaptation(day: Adaptation) -> None:
     """Print verdict, parameters and errors on standard output."""
-    where = ", on the half of the recording not used for the fit" if day.heldout else ""
+    where = ", on the half of the recording that was held out" if day.heldout else ""
     print(f"{day.verdict}: {number(day.before, 3)} % of range before, {number(day.after, 3)} % after{where}")
     rows = []
     for name, c in day.changed.items():

@@ -52,7 +52,7 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
         unit = spelt(_unit_of_rate(given.unit) if rate else given.unit) or ""
         if unit not in units_of_kind(quantity.unit):
             units = [Quantity(u).rate if rate else u for u in units_of_kind(quantity.unit)]
-            raise BadInput(f"{option} {given}: this quantity is in {units[0]}; give it in {', '.join(units)}")
+            raise BadInput(f"{option} {given}: wrong kind of unit; give it in {', '.join(units)}")
     return float(to_base(given.value, unit))
 
 

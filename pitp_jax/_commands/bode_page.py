@@ -31,19 +31,19 @@ def bode_page(fits: Identification, name: str) -> str:
         tag("h1", f"Order {chosen.order}, {kind}{delay}"),
         *[tag("p", remark, "lead") for remark in (_why(fits), sensor_line(fits.model), *fits.remarks)],
         '<div class="figures">',
-        html.picture("bode", _bode(fits), "Grey: measured, with two standard errors; lines: the models compared."),
-        html.picture("coherence", _coherence(fits), "How much of the output the drive explains, linearly."),
+        html.picture("bode", _bode(fits), "Grey: measured, with two standard errors; lines: the models of each order."),
+        html.picture("coherence", _coherence(fits), "Fraction of the output that is linear in the input (coherence)."),
         html.picture(
             "residuals",
             _residuals(fits),
-            "Grey: where all lags stay, in 95 % of cases, when nothing is left to find.",
+            "Grey band: a white residual stays within it at all lags in 95 % of cases.",
         ),
         "</div>",
         tag("h2", "Orders compared"),
         html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in fits.orders], {}),
         tag("h2", "Poles of the model"),
         html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
-        tag("h2", "What the model leaves"),
+        tag("h2", "Residual"),
         tag("p", _leaves(fits)),
     ]
     return html.page(f"Order {chosen.order}", parts)
@@ -56,16 +56,19 @@ def _why(fits: Identification) -> str:
         return f"Order {chosen.order} was asked for."
     least = min(fits.orders, key=lambda o: o.heldout)
     if least is chosen:
-        return f"Order {chosen.order} leaves least on blocks of the recordings that it was not fitted to."
+        return f"Order {chosen.order} predicts held-out blocks of the recordings best."
     if least.identifiable:
-        return f"Order {chosen.order} has the fewest poles and delays within 3 % of what order {least.order} leaves."
+        return (
+            f"Order {chosen.order} has the fewest poles and delays within 3 % of the held-out error of order "
+            f"{least.order}."
+        )
     return (
-        f"Order {least.order} leaves less on blocks that it was not fitted to, but these recordings do not determine "
-        f"its poles; of those that they do ({', '.join(map(str, known))}) order {chosen.order} is the one to take."
+        f"Order {least.order} predicts held-out blocks better, but these recordings do not determine its poles. Order "
+        f"{chosen.order} is the best of the determined ones ({', '.join(map(str, known))})."
     )
 
 
-_ORDERS = ("order", "hold", "delay, ms", "left out, % of std", "in sample, rms", "known")
+_ORDERS = ("order", "hold", "delay, ms", "held out, % of std", "in sample, rms", "determined")
 
 
 def _order(fit: OrderFit) -> tuple[str, ...]:
@@ -113,13 +116,13 @@ def _bode(fits: Identification) -> Figure:
 def _leaves(fits: Identification) -> str:
     """Return the results of the residual tests in words."""
     tested = fits.residuals
-    own = "is white: no lag shows its own past" if tested.white else "is coloured: it follows from its own past"
+    own = "is white noise" if tested.white else "is correlated with its own past"
     drive = (
-        "the drive no longer shows in it"
+        "it does not depend on the input"
         if tested.independent
-        else "the drive still shows in it: dynamics or a nonlinearity that this order does not have"
+        else "it still depends on the input: this order lacks dynamics or a nonlinearity"
     )
-    return f"What is left {own}; {drive}."
+    return f"The residual {own}; {drive}."
 
 
 def _residuals(fits: Identification) -> Figure:
@@ -129,7 +132,7 @@ def _residuals(fits: Identification) -> Figure:
         ax.axhspan(-band, band, color=MEASURED, alpha=0.4, lw=0)
         ax.plot(tested.lag, correlation, ".-", ms=3, lw=0.8, color=CYCLE[0])
     axes[0].set_ylim(-1.05, 1.05)
-    finish(axes, "lag (s)", ["residual\nwith itself", "residual\nwith the force"])
+    finish(axes, "lag (s)", ["autocorrelation\nof the residual", "correlation\nwith the force"])
     return axes[0].figure  # pyright: ignore[reportReturnType]
 
 

@@ -11,7 +11,7 @@ _LARGEST = 2**30  # bytes; above it the least recently used programs are deleted
 
 
 def keep_programs(shortest: float) -> None:
-    """Tell JAX, before it is imported, where to keep compiled programs; settings of the environment take precedence.
+    """Set JAX's folder for compiled programs, before its import; environment settings take precedence.
 
     Each computer has its own folder, because a home folder may be shared and programs are specific to a processor.
     Programs that compile in less than `shortest` seconds are not kept.

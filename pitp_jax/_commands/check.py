@@ -45,7 +45,7 @@ def check(records, model, out, json_file, reading) -> None:
             _write(result, files, stage)
     _print(result)
     if out is not None:
-        print(f"wrote {Path(out) / PAGE} and every record as it was understood")
+        print(f"wrote {Path(out) / PAGE} and every recording as it was read")
 
 
 def _write(result: Check, files: dict[str, str], folder: Path) -> None:

@@ -55,9 +55,9 @@ def _diagnosis(path: Path) -> dict:
     try:
         content = json.loads(path.read_text(encoding="utf-8"))
     except ValueError:
-        raise BadInput(f"{path}: is not JSON; give what `pitp diagnose --json` wrote") from None
+        raise BadInput(f"{path}: is not JSON; give a file that `pitp diagnose --json` wrote") from None
     if not isinstance(content, dict) or not {"verdict", "effects", "gap", "ranking"} <= content.keys():
-        raise BadInput(f"{path}: is not the JSON of a diagnosis; give what `pitp diagnose --json` wrote")
+        raise BadInput(f"{path}: is not the JSON of a diagnosis; give a file that `pitp diagnose --json` wrote")
     return content
 
 

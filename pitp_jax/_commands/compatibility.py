@@ -32,6 +32,6 @@ def check_belongs(model: Fitted, path: str, records: Sequence[Record]) -> None:
     ratio = records[0].dt / model.dt
     if abs(ratio - 1.0) > RATE_TOLERANCE:
         say(
-            f"warning: records are sampled every {records[0].dt:.6g} s, {path} was made at "
-            f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
+            f"warning: the recordings are sampled every {records[0].dt:.6g} s, those of {path} every {model.dt:.6g} "
+            "s; expect larger errors with coarser sampling"
         )

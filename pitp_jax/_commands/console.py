@@ -13,7 +13,7 @@ _REDRAW_S = 0.1
 
 
 def say(line: str) -> None:
-    """Print one line on standard error, over a progress bar that may be there."""
+    """Print one line on standard error; it replaces a progress bar on a terminal."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     print(f"{clear}pitp: {line}", file=sys.stderr, flush=True)
 

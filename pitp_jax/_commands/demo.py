@@ -35,7 +35,7 @@ def demo(plant, out, quick, json_file=None) -> None:
     with staged(folder=out, json_file=json_file, value=value) as stage:
         files.write(played, stage)
     if fallback:
-        print(f'{fallback} The column "this model" is of that model.\n')
+        print(f'{fallback} The column "this model" shows that model.\n')
     for table in made:
         print(table.title)
         rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]
@@ -68,4 +68,4 @@ def _check_recordings(out: Path, names: set[str]) -> None:
         if (out / home).is_dir():
             others = sorted(p.name for p in (out / home).iterdir() if f"{home}/{p.name}" not in names)
             if others:
-                raise BadInput(f"{out / home}: {others[0]} is of another demo; choose another folder with --out")
+                raise BadInput(f"{out / home}: {others[0]} is from another demo; choose another folder with --out")

@@ -85,7 +85,7 @@ def diagnose(
     if against is None:
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
-        say(f"diagnosing {nominal} on {len(read_in)} record{'' if len(read_in) == 1 else 's'}")
+        say(f"diagnosing {nominal} on {len(read_in)} recording{'' if len(read_in) == 1 else 's'}")
         diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
@@ -112,19 +112,21 @@ def diagnose(
 def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
     """Refuse options that contradict each other."""
     if against is not None and refit_nominal:
-        raise BadInput("--refit-nominal is for --nominal: a simulator's recordings carry no effect of the robot")
+        raise BadInput(
+            "--refit-nominal only works with --nominal: a simulator's recordings contain no effect of the robot"
+        )
     if against is None and position_gain is not None:
-        raise BadInput("--position-gain is for --against: it is the simulator's")
+        raise BadInput("--position-gain only works with --against: it is the gain of the simulator's controller")
     if against is None and by_group:
-        raise BadInput("--by-group is for --against: the groups are those of the simulator's recordings")
+        raise BadInput("--by-group only works with --against: it groups the simulator's recordings")
     if mjcf is not None and (against is None or out is None):
-        raise BadInput("--mjcf is for --against, and needs --out DIR: the changed file is written there")
+        raise BadInput("--mjcf only works with --against and --out DIR: the changed file is written there")
     if mjcf is None and (joint or actuator):
-        raise BadInput("--joint and --actuator are for --mjcf XML")
+        raise BadInput("--joint and --actuator only work with --mjcf XML")
 
 
 def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
-    """Refuse outputs that cannot be written, or that would replace files of others."""
+    """Refuse outputs that cannot be written, or that would replace the user's own files."""
     made = [] if mjcf is None else [identified_name(mjcf)]
     check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
     if out is None:
@@ -158,13 +160,13 @@ def _write(
 
 
 def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
-    """Remove files of an earlier diagnosis, and print what was written."""
+    """Remove files of an earlier diagnosis, and print the names of the written files."""
     _tidy(out, written)
     added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
     page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
     print(f"wrote {page_words}{out / MODEL} ({added})")
     if csv is not None and robot.next_experiment is not None:
-        print(f"next experiment, to tell {' from '.join(robot.next_experiment.separates)}: {csv}")
+        print(f"next experiment, to separate {' from '.join(robot.next_experiment.separates)}: {csv}")
 
 
 def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
@@ -187,12 +189,12 @@ def _by_group(records, against, out, json_file, reading, own: dict) -> None:
     partners = [(pair.first.source, pair.second) for pair in pair_records(robot, simulated, shared="second").pairs]
     sources = [{s.source for s in simulated if s.name in members} for members in groups.members]
     if sum(map(len, sources)) > len(set().union(*sources)):
-        raise BadInput("--by-group: a file holds recordings of several groups; give each recording a file of its own")
+        raise BadInput("--by-group: one file holds recordings of several groups; put each recording into its own file")
     for k, (members, files) in enumerate(zip(groups.members, sources, strict=True), 1):
         print(f"== group {k}: {', '.join(members)}")
         mine = list(dict.fromkeys(source for source, other in partners if other.name in members))
         if not mine:
-            say(f"warning: no recording of the robot has a partner in group {k}; it is left out")
+            say(f"warning: group {k} is left out because no recording of the robot has the same command")
             continue
         place, json_place = (None if path is None else own_place(path, f"group{k}") for path in (out, json_file))
         diagnose(mine, None, out=place, json_file=json_place, against=sorted(files), **own)
@@ -226,7 +228,7 @@ def _attempt(what: str, make: Callable[[], T]) -> T | None:
 
 
 def _is_drive(file: Path) -> bool:
-    """Return whether a file is missing or an input to play, which has a time and an input but no measurement."""
+    """Return whether a file is missing, or has a time and an input but no measurement."""
     if not file.is_file():
         return True
     with open(file, encoding="utf-8", errors="replace") as stream:
@@ -243,7 +245,7 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
-    """Write the pages and their figures into an existing folder, each without those that fail."""
+    """Write the pages and their figures into an existing folder; any that fail are reported and left out."""
     robot = _robot_of(diagnosis)
 
     def write(name, drawing, columns=None):

@@ -1,4 +1,4 @@
-"""Run a command once per joint of a log, and print its result for machines on standard output."""
+"""Run a command once per joint of a log, and print its JSON result on standard output."""
 
 import sys
 import tempfile
@@ -66,14 +66,14 @@ def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
 
 
 def own_place(path: str, name: str) -> str:
-    """Return the output path of one joint: a file beside the given one, or a folder below."""
+    """Return the output path of one joint: a file in the folder of the given one, or a subfolder."""
     given = Path(path)
     return str(given.with_name(f"{given.stem}.{name}{given.suffix}") if given.suffix else given / name)
 
 
 @contextmanager
 def json_to_standard_output(arguments: dict) -> Iterator[None]:
-    """With `--json -`, print the result for machines on standard output, and all messages on standard error."""
+    """With `--json -`, print the JSON result on standard output, and all messages on standard error."""
     if arguments.get("json_file") not in ("-", "/dev/stdout"):
         yield
         return

@@ -27,11 +27,13 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
         BadInput: with nothing written.
     """
     if fmi is not None and to != "fmu":
-        raise BadInput(f"--fmi {fmi} is for --to fmu")
+        raise BadInput(f"--fmi {fmi} only works with --to fmu")
     if time_constant is not None and to != "c":
-        raise BadInput(f"--time-constant {time_constant:g} is for --to c: FMU and MATLAB have no PI step")
+        raise BadInput(
+            f"--time-constant {time_constant:g} only works with --to c: FMU and MATLAB exports have no PI controller"
+        )
     if precision == "single" and to == "matlab":
-        raise BadInput("--precision single is for --to c and fmu: MATLAB computes in double")
+        raise BadInput("--precision single only works with --to c and fmu: MATLAB computes in double precision")
     check_outputs(json_file, inputs=[model])
     loaded, options = load(model), {"name": name, "rate": steps}
     if to == "matlab":
@@ -51,4 +53,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     write_json(json_file, summary | {"pi": None if gains is None else asdict(gains)})
     if cost is not None:
         own = number(1 / loaded.dt)
-        print(f"at this rate instead of the model's {own} Hz it predicts {number(cost, 2)} % of range off (e_rms)")
+        print(
+            f"running at this rate instead of the model's {own} Hz changes its prediction by {number(cost, 2)} % of "
+            "range (e_rms)"
+        )

@@ -15,6 +15,7 @@ from .._record.writing import write_text_atomic
 from .._report.description import describe, fallback_line, in_words, sensor_line
 from .._simulate.prediction import predict
 from .._train.cross_validation import cross_validate as run_cross_validate
+from .._train.cross_validation import with_left_out
 from .._train.settings import preset_of
 from .._train.training import train
 from .compatibility import check_belongs
@@ -89,9 +90,10 @@ def fit(
         print(f"with {in_words(effect)}")
     held_out = ()
     if cross_validate:
-        say(f"cross-validation: {len(done.errors)} trainings, each without one record")
+        say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
         anew = given or (lambda some: identified(some).model)
         held_out = run_cross_validate(anew, read_in, done.model, progress=ProgressBar().update, **how)
+        save(out, with_left_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
@@ -126,9 +128,9 @@ def _identified(records, order, input_map) -> Identification:
     """Return a nominal identified on the sweeps among the records, otherwise on all."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
-        say(f"identifying on the sweeps among {len(records)} records: {listed([r.name for r in sweeps])}")
+        say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")
     else:
-        say(f"no record is a sweep: identifying on all, {listed([r.name for r in records])}")
+        say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
     identified = identify(sweeps or records, order=order, input_map=input_map, progress=say)
     say(f"identified order {identified.model.order}")
     return identified

@@ -34,7 +34,7 @@ def explained(
     # training may explain effects that a linear model cannot, and then has a much smaller error
     if first is not None and not first.explains and left > _HALF * first.chosen.heldout / 100:
         return False, first.warning
-    text = f"{100 * left:.0f} % of the output's rms is left on the training records"
+    text = f"{100 * left:.0f} % of the output's rms remains unexplained on the training recordings"
     if left >= NOTHING:
         return False, f"The model explains nothing: {text}. {CHECK}"
     if left >= LITTLE:
@@ -57,15 +57,15 @@ def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> 
 def suspects(held_out: Sequence[HeldOut]) -> list[str]:
     """Return a line for every record that models of the others do not predict."""
     return [
-        f"{h.name}: {h.problem or f'predicted {h.predicted / h.fitted:.0f} times worse than fitted'}"
-        "; it holds what no other record does: take another like it"
+        f"{h.name}: {h.problem or f'predicted {h.predicted / h.fitted:.0f} times worse if left out of the training'}"
+        "; no other recording covers this motion: record another one like it"
         for h in held_out
         if h.suspect
     ]
 
 
 def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
-    """Return the same errors for JSON."""
+    """Return the errors of every record for JSON."""
     predicted = {h.name: {"left_out_e_rms_percent": h.predicted, "problem": h.problem or None} for h in held_out}
     rows = {
         e.name: {"nominal_e_rms_percent": e.nominal, "trained_e_rms_percent": e.trained, **predicted.get(e.name, {})}

@@ -61,7 +61,7 @@ def fit_page(
         *([tag("p", line)] if (line := fallback_line(model.origin.training)) else []),
         f'<div class="cards">{"".join(_cards(model, records, predictions, scores))}</div>',
         '<div class="figures">',
-        html.picture("map", _map(records, errors), "Error by the drive's strongest frequency and by the stroke."),
+        html.picture("map", _map(records, errors), "Error by the input's strongest frequency and by the stroke."),
         html.picture("colour", _colour([(records[k], predictions[k]) for k in kept]), _COLOUR) if kept else "",
         html.picture("tokens", _tokens(model), _TOKENS) if len(model.domain.region) else "",
         "</div>",
@@ -73,12 +73,10 @@ def fit_page(
 
 
 _COLOUR = (
-    "Spectra of what was measured and of what the free runs leave: flat is noise, a peak under the drive or at the "
-    "resonance is something the model lacks."
+    "Spectra of the measured output and of the error of the free runs. A flat error spectrum is noise; a peak at the "
+    "input's frequency or at the resonance shows that the model lacks something."
 )
-_TOKENS = (
-    "What the nominal's coefficients are multiplied by at standstill, everything settled, over the trained stroke."
-)
+_TOKENS = "Factors on the nominal model's coefficients at standstill, settled, over the trained stroke."
 
 
 def _error(row: dict) -> float:
@@ -90,8 +88,9 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     moved = [p.name for p in predictions if p.begins != "rest"]
     farthest = max(predictions, key=lambda p: p.outside_training_share)
     where = f", most in {farthest.name}: {farthest.outside_training}" if farthest.outside_training else ""
-    lines = [f"{figure(outside, 2)} % of the samples lie outside the trained region{where}."]
-    lines += [f"{len(moved)} of {len(predictions)} do not begin at rest."] if moved else []
+    lines = [f"{figure(outside, 2)} % lie outside the trained region{where}."]
+    lines += [f"{p.name}: {p.not_excited}" for p in predictions if p.not_excited][:3]
+    lines += [f"{len(moved)} of {len(predictions)} do not start at rest."] if moved else []
     lost = sum(p.diverged for p in predictions)
     nrmse = [row["nrmse_percent"] for row in scores.values() if row["nrmse_percent"] is not None]
     big = f"{figure(float(np.median(nrmse)), 2)} % of std" if nrmse else "–"
@@ -100,7 +99,13 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
     hertz = float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
     mass = [f"and a second mass at {figure(hertz)} Hz"] if hertz else []
     what = (
-        [tag("p", "Times in which the past motion fades (creep of the film); the network can compensate for changes.")]
+        [
+            tag(
+                "p",
+                "Memory times: the past motion fades within them (creep of the film). The network can compensate "
+                "for changes.",
+            )
+        ]
         if fading
         else []
     )
@@ -160,7 +165,7 @@ def _run(record: Record, run: Prediction) -> Figure:
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
-    """Draw a dot per record, with its colour for the kind of input and its error beside it."""
+    """Draw one dot per record, coloured by the kind of input, with its error as text."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit = records[0].displacement_unit
     kinds = [kind(r) for r in records]
@@ -174,7 +179,7 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
                 figure(errors[k], 2), (loudest(records[k]), stroke), (3, 3), textcoords="offset points", fontsize=7
             )
     ax.set_xscale("log")
-    finish(np.array([ax]), "strongest frequency of the drive (Hz)", [f"stroke ({shown_unit(unit)})"], 4)
+    finish(np.array([ax]), "strongest frequency of the input (Hz)", [f"stroke ({shown_unit(unit)})"], 4)
     return ax.figure  # pyright: ignore[reportReturnType]
 
 
@@ -184,7 +189,7 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
     unit, size = pairs[0][0].displacement_unit, min(4096, *(r.samples for r, _ in pairs))
     for color, label, signal in (
         (MEASURED, "measured", lambda r, p: r.displacement - np.nanmean(r.displacement)),
-        (ERROR, "left by the free runs", lambda r, p: p.displacement - r.displacement),
+        (ERROR, "error of the free runs", lambda r, p: p.displacement - r.displacement),
     ):
         rows = [
             scipy.signal.welch(from_base(np.nan_to_num(signal(r, p)), unit), 1 / r.dt, nperseg=size) for r, p in pairs
@@ -215,7 +220,15 @@ def _tokens(model: Fitted) -> Figure:
 
 
 def _table(records: Sequence[Record], scores: dict) -> str:
-    header = ("recording", "begins", "error, % of range", "% of std", "rmse", "with its zero fitted, %", "outside, %")
+    header = (
+        "recording",
+        "begins",
+        "error, % of range",
+        "% of std",
+        "rmse",
+        "with fitted sensor offset, %",
+        "outside, %",
+    )
     rows = []
     for r in records:
         s = scores[r.name]

@@ -100,4 +100,4 @@ def delay_text(identified) -> str:
     else:
         own, other, word = "linear between samples", delay - half, "held"
     text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
-    return f"{text} ({number(other, 3)} ms for a {word} one)"
+    return f"{text} ({number(other, 3)} ms if the input is {word} between samples)"

@@ -21,7 +21,7 @@ def info(model, others, json_file) -> None:
         BadInput: not a usable model file, or more than one.
     """
     if others:
-        raise BadInput(f"info describes one model; to see what differs: pitp compare {model} {others[0]}")
+        raise BadInput(f"info describes one model; to see the differences: pitp compare {model} {others[0]}")
     check_outputs(json_file, inputs=[model])
     loaded = load(model)
     summary = traced(loaded)

@@ -7,6 +7,9 @@ from .._invert.feedforward_plan import Feedforward, feedforward
 from .._invert.playback import at_faster_rate, at_slower_rate
 from .._invert.target_path import at_rate_of_model
 from .._model.coordinate import Zero
+from .._model.coverage import WORTH_A_LINE
+from .._model.expected_error import expected_error
+from .._model.fitted import Fitted
 from .._model.units import units_of
 from .._model_file.model_file import load
 from .._record.reading import read_target
@@ -84,6 +87,7 @@ def invert(
     with staged(file=out, json_file=json_file, value=result) as stage:
         write_csv(stage, columns)
     _summarise(planned, out, played, input_scale)
+    _expect(loaded, planned)
     if planned.limits:
         print(f"limits: {planned.limits}")
 
@@ -98,8 +102,19 @@ def _unit_to_write(unit: str | None, units: Units) -> Quantity:
         return units.input
     known = spelt(unit)
     if known is None or kind_of(known) != kind_of(units.input.unit):
-        raise BadInput(f"--unit {unit}: the input of this model is in {', '.join(units_of_kind(units.input.unit))}")
+        raise BadInput(
+            f"--unit {unit}: wrong kind of unit for this model's input; give one of "
+            f"{', '.join(units_of_kind(units.input.unit))}"
+        )
     return Quantity(known)
+
+
+def _expect(model: Fitted, planned: Feedforward) -> None:
+    """Print the tracking error to expect; where the target is not covered, that no figure is known."""
+    if planned.outside_training_share > WORTH_A_LINE:
+        print("expected tracking error: no figure is known, because the model was not trained with this target")
+    elif expected := expected_error(model, planned.wanted):
+        print(f"expected tracking error: {number(expected.percent, 2)} % of range ({expected.source})")
 
 
 def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: float) -> None:
@@ -108,12 +123,15 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
     print(f"largest input {largest} {played.unit}{scaled}: {len(values)} samples in {out}")
     own = float(planned.time[np.argmax(planned.target)])
-    print(f"its clock starts at 0; the target begins at {own - planned.time[0]:.6g} s there, at {own:.6g} s of its own")
+    print(
+        f"the file's clock starts at 0 s; the target starts at {own - planned.time[0]:.6g} s of it ({own:.6g} s of "
+        "the target's own clock)"
+    )
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
     # a smaller error only shows that the inversion is correct, not how well the rig will track
     if planned.self_check_e_rms_percent >= _ROUNDING:
         print(
-            f"self-check (the model's own rollout, not a prediction of tracking): error "
+            f"self-check (the model simulated with this input; the rig may differ): error "
             f"{number(float(planned.self_check_e_rms_percent), 3)} % of range (e_rms); simply clipping the input "
             f"would give {number(float(planned.equation_e_rms_percent), 3)} %"
         )

@@ -39,7 +39,9 @@ def check_replaceable(file: Path, shown: object) -> None:
         head = stream.read(_HEAD)
     ours = head.startswith(_BEGINS) or _RESULT.match(head.partition(b"\n")[0]) or _IDENTIFIED in head
     if head and not ours:
-        raise BadInput(f"{shown}: exists and was not written by pitp; choose another name, or --force replaces it")
+        raise BadInput(
+            f"{shown}: exists and was not written by pitp; choose another name, or give --force to overwrite it"
+        )
 
 
 def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) -> None:

@@ -54,9 +54,9 @@ def check_outputs(
         if not target.parent.is_dir():
             raise BadInput(f"{path}: there is no folder {target.parent}; create the folder first")
         if not os.access(target if target.exists() else target.parent, os.W_OK):
-            raise BadInput(f"{path}: no right to write there; choose a place you may write to")
+            raise BadInput(f"{path}: no permission to write there; choose another place")
         if target in taken:
-            raise BadInput(f"{path}: is already used as {taken[target]}; choose another name for the output")
+            raise BadInput(f"{path}: is also given as {taken[target]}; choose another name for the output")
         check_replaceable(target, path)
         taken[target] = path
     if folder is not None:
@@ -74,11 +74,11 @@ def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
     if not existing.is_dir():
         raise BadInput(f"{folder}: {existing} is a file, not a folder; choose another folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise BadInput(f"{folder}: no right to write in {existing}; choose a place you may write to")
+        raise BadInput(f"{folder}: no permission to write in {existing}; choose another place")
     for name in names:
         file = target / name
         if Path(os.path.realpath(file)) in taken:
-            raise BadInput(f"{folder}: {name} would replace a file that is read; choose another folder")
+            raise BadInput(f"{folder}: {name} would overwrite an input file; choose another folder")
         if file.is_dir():
             raise BadInput(f"{folder}: {name} is a folder there; remove it or choose another folder")
     check_folder_replaceable(target, names, folder)
@@ -88,7 +88,7 @@ def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
 def staged(
     *, file: str | None = None, folder: str | os.PathLike | None = None, json_file: str | None = None, value: Any = None
 ) -> Iterator[Path]:
-    """Yield a hidden place for a command's output: with its JSON all of it appears, or on any failure nothing.
+    """Yield a hidden path for a command's output; all of it appears at the end, or nothing after a failure.
 
     Args:
         file: wanted file, whose hidden name is yielded; a device is written to directly.

@@ -38,7 +38,7 @@ def own_command(text: str, argv: Sequence[str]) -> str:
 
 
 def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return the arguments without these options and their values, because an option given twice is refused."""
+    """Return the arguments without these options and their values, because a repeated option is refused."""
     words, k = [], 0
     while k < len(argv):
         if argv[k] in names:

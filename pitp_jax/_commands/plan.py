@@ -73,13 +73,13 @@ def plan(
 
 
 def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
-    """Return the model file and the records, in whichever order they were given."""
+    """Return the model file and the records of the arguments, which may have any order."""
     if not paths:
         return None, []
     models = [p for p in paths if Path(p).is_file() and is_model_file(p)]
     if len(models) != 1:
-        found = f"{', '.join(models)}: are {len(models)} model files" if models else f"{paths[0]}: is not a model file"
-        raise BadInput(f"{found}; give one model file and the records that it was made from")
+        found = f"{', '.join(models)}: several model files" if models else f"{paths[0]}: is not a model file"
+        raise BadInput(f"{found}; give one model file and the recordings that it was trained on")
     return models[0], [p for p in paths if p != models[0]]
 
 
@@ -99,9 +99,13 @@ def _print(planned: Plan, modelled: bool) -> None:
         for r in planned.recordings
     ]  # fmt: skip
     if rows:
-        strokes = (f"stroke ({stroke.unit})", "with half the damping", "play if the stroke is below")
+        strokes = (
+            f"stroke ({stroke.unit})",
+            "stroke with half the damping",
+            "play it only if no earlier stroke exceeded",
+        )
         print_table(
-            ("recording", "seconds", f"largest ({drive.unit})", f"steepest ({drive.rate})", *strokes, "what it is for"),
+            ("recording", "seconds", f"largest ({drive.unit})", f"steepest ({drive.rate})", *strokes, "purpose"),
             rows,
         )
     if any(np.isfinite(r.go_on) for r in planned.recordings):

@@ -9,6 +9,7 @@ import numpy as np
 
 from .._errors import ComputationFailed
 from .._metrics import e_rms_percent, nrmse_percent, rmse
+from .._model.expected_error import Expected, expected_error
 from .._record.initial_state import Beginning
 from .._record.record import Record
 from .._record.writing import write_csv, write_text_atomic
@@ -49,11 +50,11 @@ def predict(model, records, out, json_file, reading) -> None:
             for record, prediction, file in zip(read_in, predictions, files, strict=True):
                 _write_record(stage / file, record, prediction)
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
-    _print_scores(result, predictions)
+    _print_scores(result, predictions, [expected_error(loaded, p.displacement) for p in predictions])
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(
-            f"{model} diverged on every record; check units and columns, or train on more such records"
+            f"{model} diverged on every recording; check units and columns, or train on more recordings of this kind"
         )
 
 
@@ -129,8 +130,27 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
     return begun
 
 
-def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
-    header = ("record", "e_rms (%)", "nrmse (%)", "rmse", "unit", "samples", "missing", "outside (%)", "")
+def _shown(expected: Expected | None, prediction: Prediction) -> str:
+    """Return the error to expect as text; unknown where the model was not trained with the input."""
+    if prediction.not_excited:
+        return "unknown"
+    return "-" if expected is None else number(expected.percent, 2)
+
+
+def _print_scores(result: dict, predictions: Sequence[Prediction], expected: Sequence[Expected | None]) -> None:
+    shown = [_shown(e, p) for e, p in zip(expected, predictions, strict=True)]
+    header = (
+        "record",
+        "e_rms (%)",
+        "nrmse (%)",
+        "rmse",
+        "unit",
+        "samples",
+        "missing",
+        "outside (%)",
+        "expected (%)",
+        "",
+    )
     rows = [
         (
             name,
@@ -141,17 +161,25 @@ def _print_scores(result: dict, predictions: Sequence[Prediction]) -> None:
             str(row["samples"]),
             str(row["missing"]),
             number(100 * row["outside_training_share"], 3),
-            "diverged" if row["diverged"] else "nothing to score" if row["e_rms_percent"] is None else "",
+            error,
+            "diverged" if row["diverged"] else "no motion to score" if row["e_rms_percent"] is None else "",
         )
-        for name, row in result["records"].items()
+        for (name, row), error in zip(result["records"].items(), shown, strict=True)
     ]
     print_table(header, rows)
     median = result["median_e_rms_percent"]
     infinite = any(row["diverged"] for row in result["records"].values())
     print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
+    if sources := dict.fromkeys(e.source for e in expected if e is not None):
+        print(f"expected: e_rms of a recording that was not used for training ({'; '.join(sources)})")
     for p in predictions:
         if p.outside_training:
             print(f"{p.name}: outside the trained region: {p.outside_training}")
+        if p.not_excited:
+            print(f"{p.name}: {p.not_excited} No figure is known for its error.")
         if p.estimated_start:
             used = int((~p.scored).sum())
-            print(f"{p.name}: starts moving; initial state estimated from the first {used} samples, which do not count")
+            print(
+                f"{p.name}: starts moving; its initial state was estimated from the first {used} samples, which are "
+                "not scored"
+            )

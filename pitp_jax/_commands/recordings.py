@@ -68,7 +68,7 @@ def recognised(records: Sequence[Record]) -> list[str]:
             kind = f"{seen['file']}; time {seen['time']}, input {seen['input']}, output {seen['output']}"
             kinds.setdefault(kind, []).append(record.name)
             remarks += seen["findings"]
-    count = [f"{len(names)} record{'s' if len(names) > 1 else ''}" for names in kinds.values()]
+    count = [f"{len(names)} recording{'s' if len(names) > 1 else ''}" for names in kinds.values()]
     lines = [f"read {many} ({_some(names)}): {kind}" for many, (kind, names) in zip(count, kinds.items(), strict=True)]
     return lines + by_kind(remarks)
 

@@ -45,7 +45,7 @@ def _print_training(summary: dict) -> None:
     training = summary["training"]
     cut = ", interrupted" if training.get("interrupted") else ""
     long = training.get("creep_held_to_s")
-    held = f", creep also fitted to {number(long, 3)} s of the nominal's own record" if long else ""
+    held = f", creep also fitted to {number(long, 3)} s of the recordings of the nominal model" if long else ""
     hertz = training.get("second_mass_hz")
     mass = f", and a second mass at {number(hertz, 3)} Hz" if hertz else ""
     print(
@@ -72,15 +72,15 @@ def _short(value) -> str:
 def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
     """Print records that do not start at rest, and offsets and directions that differ from most records."""
     for kind, line in (
-        ("held", "begin settled at a held drive: {}"),
-        ("moving", "start moving: {}; their initial states were estimated"),
+        ("held", "start settled at a held input: {}"),
+        ("moving", "start moving (initial state estimated): {}"),
     ):
         if names := [name for name, b in beginnings.items() if b.begins == kind]:
             print(line.format(listed(names)))
     if not any(b.begins == "rest" for b in beginnings.values()):
         print(
-            f"No recording starts at rest at 0 {units.input.unit}: the reading there is extrapolated by the model, "
-            "not measured."
+            f"No recording starts at rest at 0 {units.input.unit}: the sensor's reading there is extrapolated by the "
+            "model."
         )
     print_sensors(beginnings, units.output.unit)
 
@@ -88,17 +88,17 @@ def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
 def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
     """Print the records with a reversed sensor, and sensor offsets that differ between records."""
     if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
-        print(f"reversed sensor (reads less as the actuator extends): {listed(reversed_ones)}")
+        print(f"reversed sensor (its reading decreases as the actuator extends): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
         rows = [
             (name, *(number(from_base(v, unit) if math.isfinite(v) else None, 4) for v in numbers))
             for name, numbers in ((name, (b.zero, b.stderr)) for name, b in beginnings.items())
         ]
-        print("the sensor's zero differs among the records:")
+        print("sensor offset of each recording:")
         print_table(("record", f"zero ({unit})", "+-"), rows)
 
 
 def listed(names, most: int = 4) -> str:
     """Return `3 records (a, b, c)`, the first few by name."""
     shown = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
-    return f"{len(names)} record{'' if len(names) == 1 else 's'} ({shown})"
+    return f"{len(names)} recording{'' if len(names) == 1 else 's'} ({shown})"

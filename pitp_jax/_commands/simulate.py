@@ -8,6 +8,7 @@ import numpy as np
 
 from .._errors import ComputationFailed
 from .._model.coordinate import Zero
+from .._model.coverage import input_beyond, input_words
 from .._model.fitted import Fitted
 from .._model.units import units_of
 from .._model_file.model_file import load
@@ -45,7 +46,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     unit = output.unit
     at_rest: Zero = zero if zero in ("rest", "sensor") else float(output.base(zero))
     runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
-    rows = {d.name: _row(d, x, unit) for d, x in zip(drives, runs, strict=True)}
+    rows = {d.name: _row(loaded, d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
             for drive, x, file in zip(drives, runs, files, strict=True):
@@ -56,11 +57,11 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
          "diverged" if row["diverged"] else "") for name, row in rows.items()
     ])  # fmt: skip
     if all(row["diverged"] for row in rows.values()):
-        raise ComputationFailed(f"{model} diverged under every input; stay within the inputs it was made from")
+        raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """Print what was recognised, and which voltages lie outside the model's range."""
+    """Print what was recognised, and the voltages outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)
@@ -68,16 +69,18 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
     for drive in drives:
         if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
             say(
-                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, {path} was made at "
-                f"{model.dt:.6g} s; expect larger errors where the sampling is coarser"
+                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, the recordings of {path} every "
+                f"{model.dt:.6g} s; expect larger errors with coarser sampling"
             )
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
             seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
             times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
             say(
-                f"warning: {drive.name} plays {played}; {path} was made from {seen}. It leaves that range by "
-                f"{100 * times:.2g} % of its width, where the model is an extrapolation"
+                f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
+                f"by {100 * times:.2g} % of that range's width"
             )
+        if words := input_words(model, input_beyond(model, drive.voltage, drive.dt)):
+            say(f"warning: {drive.name}: {words}")
         if drive.voltage[0] != 0:
             say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
 
@@ -86,7 +89,7 @@ def _range(values: np.ndarray) -> tuple[float, float]:
     return float(values.min()), float(values.max())
 
 
-def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
+def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
     shown = from_base(x[np.isfinite(x)], unit)
     return {
         "samples": len(x),
@@ -95,6 +98,7 @@ def _row(drive: Drive, x: np.ndarray, unit: str) -> dict:
         "highest": float(shown.max()) if len(shown) else math.nan,
         "unit": unit,
         "diverged": bool(np.isnan(x).any()),
+        "outside_training_share": input_beyond(model, drive.voltage, drive.dt).fraction,
     }
 
 

@@ -34,7 +34,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
     used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
     files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
     if len(set(files)) < len(files):
-        raise BadInput("a held-out recording has the name of another recording; rename one")
+        raise BadInput("a held-out recording has the same name as another recording; rename one of them")
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=inputs)
     found = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
     with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
@@ -51,7 +51,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
             write_text_atomic(stage / REPORT, page(found, drawn))
     _print(found)
     if found.better is False:
-        raise ComputationFailed(f"{mjcf} is not better than {before} beyond the noise; keep the old file")
+        raise ComputationFailed(f"{mjcf} is not significantly better than {before}; keep the old file")
 
 
 def one_joint(joint: list[str] | None) -> str:
@@ -61,7 +61,7 @@ def one_joint(joint: list[str] | None) -> str:
         BadInput: none or several.
     """
     if not joint:
-        raise BadInput("--mjcf needs --joint NAME: whose motion was recorded")
+        raise BadInput("--mjcf needs --joint NAME, the joint whose motion was recorded")
     if len(joint) > 1:
         raise BadInput("several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order")
     return joint[0]

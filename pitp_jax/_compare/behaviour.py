@@ -84,7 +84,7 @@ def _apart(a: Fitted, b: Fitted) -> str | None:
         return "The models have inputs or outputs of different kinds, so their responses were not compared."
     low, high = _common_range(a, b)
     if not (np.isfinite([low, high]).all() and high > low):
-        return "The models have no known common range of the input, so their responses were not compared."
+        return "The models have no known common input range, so their responses were not compared."
     return None
 
 

@@ -33,7 +33,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
     """
     kinds = [_kind(one) for one in (a, b)]
     if kinds[0] != kinds[1]:
-        raise BadInput(f"{names[0]} is {kinds[0]}, {names[1]} {kinds[1]}: give two of one kind")
+        raise BadInput(f"{names[0]} is {kinds[0]}, {names[1]} {kinds[1]}; give two of the same kind")
     if kinds[0] == "a diagnosis":
         as_json = [dict(one) if isinstance(one, Mapping) else one.as_json() for one in (a, b)]
         return compare_diagnoses(as_json[0], as_json[1], names)
@@ -50,7 +50,7 @@ def _kind(one) -> str:
     if isinstance(one, Model | Fitted) or isinstance(getattr(one, "model", None), Model | Fitted):
         return "a model"
     if isinstance(one, Sequence) and len(one) and all(isinstance(r, Record) for r in one):
-        return "a set of records"
+        return "a set of recordings"
     # a path is what a user of the command line would give
     hint = "; give pitp.load(FILE) or pitp.read(PATH)" if isinstance(one, (str, PathLike)) else ""
-    raise BadInput(f"a {type(one).__name__} cannot be compared{hint}: give models, diagnoses or lists of records")
+    raise BadInput(f"a {type(one).__name__} cannot be compared{hint}; give models, diagnoses or lists of records")

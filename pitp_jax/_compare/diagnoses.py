@@ -13,7 +13,7 @@ def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
     rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
     rows.append(stated("handed back", a.get("handed_back") or [], b.get("handed_back") or []))
     first = [d["ranking"][0]["effect"] if d.get("ranking") else None for d in (a, b)]
-    rows.append(stated("first of the ranking", *first))
+    rows.append(stated("best single effect", *first))
     rows += _effects(a, b)
     rows += _parts(a.get("parts") or [], b.get("parts") or [], {*a["effects"], *b["effects"]})
     rows += [
@@ -21,10 +21,10 @@ def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
         for key, words in _GAP.items()
     ]
     closed = [{"share": d["gap"].get("closed_fraction"), "ci95": d["gap"].get("ci95")} for d in (a, b)]
-    rows.append(_portion("part of the gap that is closed", *closed))
+    rows.append(_portion("fraction of the gap that is closed", *closed))
     rows += _budget(a.get("budget") or {}, b.get("budget") or {})
     remarks = [
-        f"{name}: these recordings cannot tell {d['effects'][0] if d['effects'] else 'the best candidate'} from "
+        f"{name}: these recordings do not separate {d['effects'][0] if d['effects'] else 'the best candidate'} from "
         f"{', '.join(d['equivalent'])}."
         for name, d in zip(names, (a, b), strict=True)
         if d.get("equivalent")
@@ -82,8 +82,10 @@ def _portion(what: str, one: dict, two: dict) -> Difference:
 
 
 def _budget(a: dict, b: dict) -> list[Difference]:
-    words = {"nuisance": "zeros and directions", "parameters": "moved parameters", "simulator": "the simulator's model",
-             "unnamed": "unnamed but explainable", "unexplainable": "not explainable"}  # fmt: skip
+    words = {"nuisance": "sensor offsets and directions", "parameters": "moved parameters", "simulator": "the "
+    "simulator's model",
+             "unnamed": "predictable from the input, no single cause certain", "unexplainable": "not "
+             "explainable"}  # fmt: skip
     rows = [_portion(f"of the gap: {w}", a.get(k, {}), b.get(k, {})) for k, w in words.items() if k in a or k in b]
     effects = [d.get("effects", {}) for d in (a, b)]
     names = dict.fromkeys([*effects[0], *effects[1]])

@@ -43,9 +43,10 @@ class Groups:
     def __str__(self) -> str:
         names = [f"{', '.join(names[:3])}{', ...' * (len(names) > 3)} ({len(names)})" for names in self.members]
         return (
-            f"The simulator's recordings fall into {len(self.members)} groups, as of several plants: one linear model "
-            f"leaves {100 * self.common:.2g} % of their output, one a group {100 * self.own:.2g} %. The groups: "
-            f"{'; '.join(names)}. --by-group diagnoses each; or give one folder for each load or gain"
+            f"The simulator's recordings fall into {len(self.members)} groups, as if made on several plants: one "
+            f"common linear model leaves {100 * self.common:.2g} % of their output unexplained, one model for each "
+            f"group {100 * self.own:.2g} %. The groups: {'; '.join(names)}. Give --by-group to diagnose each, or one "
+            "folder for each load or gain"
         )
 
 

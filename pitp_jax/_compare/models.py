@@ -45,7 +45,7 @@ def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
 
 
 def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
-    """Return the factors of either model's last `adapt` that the other model has not."""
+    """Return the factors of either model's last `adapt` that the other model lacks."""
     rows = []
     for k, (mine, other) in enumerate(((a, b), (b, a))):
         for entry in mine.origin.adapted:
@@ -73,7 +73,7 @@ def _coefficients(one: dict, two: dict) -> list[Difference]:
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
-    """Compare the static stiffness, and the least damped mode of each, if the orders differ."""
+    """Compare the static stiffness and the least damped mode, for models of different orders."""
     stiffness = measured(
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),

@@ -19,7 +19,7 @@ _DRAWN = 12  # pairs of recordings, the most different first
 def page(result: Comparison) -> str:
     """Return the comparison as a self-contained HTML page."""
     others = tuple(r for r in result.rows if not r.differs)
-    alike = [tag("h2", "What does not, or cannot be said"), _table(result, others)] if others else []
+    alike = [tag("h2", "No difference, or not judged"), _table(result, others)] if others else []
     return html.page(result.headline(), [*_first(result), *alike, *_drawn(result)])
 
 
@@ -30,7 +30,7 @@ def first_screen(result: Comparison) -> str:
 
 def _first(result: Comparison) -> list[str]:
     return [
-        tag("p", f"Comparison of two {'sets of records' if result.kind == 'records' else result.kind}", "soft"),
+        tag("p", f"Comparison of two {'sets of recordings' if result.kind == 'records' else result.kind}", "soft"),
         tag("h1", result.headline()),
         html.bullets(result.remarks),
         *([tag("h2", "What differs"), _table(result, result.different)] if result.different else []),
@@ -69,7 +69,7 @@ def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
     """Draw both outputs over the time since the first recording's start, and the difference; return the numbers too."""
     unit = pair.first.displacement_unit
-    time = pair.first.time - pair.first.time[0]  # clocks of two rigs share no zero
+    time = pair.first.time - pair.first.time[0]  # clocks of two rigs have different origins
     one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))
     upper, lower = own_axes(None, 2, (5.6, 3.0), (2.2, 1.0))
     part = some_periods(one)

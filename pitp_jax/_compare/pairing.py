@@ -44,12 +44,12 @@ class Pair:
     output_sign: int = 1
 
     def command(self) -> np.ndarray:
-        """Interpolate the second's command at the times of the first, held at its ends and mirrored; shape (T,)."""
+        """Interpolate the second recording's command at the times of the first, held at its ends and mirrored, (T,)."""
         sign = -1 if self.correlation < 0 else 1
         return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Interpolate the second's output at the times of the first, mirrored; nan outside and where missing."""
+        """Interpolate the second recording's output at the times of the first, mirrored, nan where missing, (T,)."""
         return self.output_sign * _at(self.first, self.second, self.offset)
 
 
@@ -195,10 +195,10 @@ class _Table:
         best = max(range(len(self.others)), key=lambda j: abs(self.matches[i][j].correlation))
         m, name = self.matches[i][best], self.others[best].name
         if m.accepted:
-            return f"its command is that of {name}, which has a closer partner"
+            return f"its command equals that of {name}, which has a closer partner"
         if abs(m.correlation) >= ALIKE:
-            return f"{name} has the same command at another size (factor {m.size:.3g}); are the units right"
-        return f"no command correlates with its own by {ALIKE:g} (closest: {name}, {m.correlation:.2f})"
+            return f"{name} has the same command at another size (factor {m.size:.3g}); check the units"
+        return f"no command correlates by {ALIKE:g} or more with its own (closest: {name}, {m.correlation:.2f})"
 
     def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
         """Return the groups of the second set among which the responses decided."""

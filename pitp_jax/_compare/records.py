@@ -35,10 +35,10 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
         models = [linear_model_of(records).model for records in (a, b)]
     except ComputationFailed as error:
         raise ComputationFailed(
-            f"no command is common to both sets, and no model of one can be made: {error}"
+            f"the sets have no command in common, and no linear model of one can be identified: {error}"
         ) from None
     compared = compare_models(models[0], models[1], names)
-    first = "No command is common to both sets: linear models identified on each are compared."
+    first = "The sets have no command in common, so linear models identified on each are compared."
     return Comparison("records", names, compared.rows, (first, *compared.remarks), pairs)
 
 
@@ -69,8 +69,8 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     a, unit = pair.first, pair.first.displacement_unit
     if base_unit(unit) != base_unit(pair.second.displacement_unit):
         raise BadInput(
-            f"{pair.second.name}: output in {pair.second.displacement_unit}, but {a.name} in {unit}; "
-            "choose the same kind with --output-column"
+            f"{pair.second.name}: output in {pair.second.displacement_unit}, but {a.name} in {unit}; give "
+            "--output-column to choose the same quantity"
         )
     y, other = a.displacement, pair.output()
     seen = np.isfinite(y) & np.isfinite(other)

@@ -40,7 +40,7 @@ class Difference:
     def words(self) -> str:
         """Return the difference in one line."""
         ratio = ""
-        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves say more
+        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
             ratio = f" (factor {number(self.b / self.a)})"
         return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
@@ -73,9 +73,9 @@ class Comparison:
         """Return a sentence on how many quantities differ."""
         count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
         a, b = self.names
-        unknown = f" ({open_} more have unknown standard errors and are not judged)" if open_ else ""
+        unknown = f" ({open_} more were not judged, because their standard errors are not known)" if open_ else ""
         if not count:
-            return f"{a} and {b} differ by no more than their intervals{unknown}"
+            return f"{a} and {b} do not differ beyond their confidence intervals{unknown}"
         return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
 
     def __repr__(self) -> str:

@@ -94,7 +94,7 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
 
 
 def _play(values: np.ndarray, half: float) -> np.ndarray:
-    """Return the output of a play of this half width, which starts in its middle, shape (T,)."""
+    """Return the output of a backlash play of this half width, started in its middle, shape (T,)."""
     follower, out = 0.0, np.empty(len(values))
     for k, value in enumerate(values):
         follower = min(max(follower, value - half), value + half)

@@ -130,7 +130,7 @@ def run(
     """
     actuator = virtual_actuator(name)
     drives = {part: excitations(name, part, quick) for part in ("sweep", "train", "test")}
-    say(f"measuring {sum(map(len, drives.values()))} records on the virtual actuator {name}")
+    say(f"measuring {sum(map(len, drives.values()))} recordings on the virtual actuator {name}")
     (swept,), sines, test = (measure(actuator, drives[part]) for part in ("sweep", "train", "test"))
     say("identifying on the sweep")
     identified = identify([swept], progress=say)
@@ -139,7 +139,7 @@ def run(
     trained = train(identified.model, sines, settings=settings, key=jax.random.key(SEED), progress=progress)
     if trained.interrupted:  # a half-trained model beside the paper's figures would mislead
         raise KeyboardInterrupt
-    say(f"predicting {len(sines)} in-sample and {len(test)} held-out records")
+    say(f"predicting {len(sines)} in-sample and {len(test)} held-out recordings")
     # every record once with both models, so that tables and figures use the same runs
     predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
     linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
@@ -228,7 +228,7 @@ def noise_floor(demo: Demo, name: str) -> float:
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
-    """Return Tables I (in-sample) and II beside the paper's, and one of the held-out records."""
+    """Return Tables I (in-sample) and II with the paper's values, and a table of the held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
     in_sample, held_out, tracking = [], [], []
     for f, paper in PREDICTION_PAPER[demo.name].items():

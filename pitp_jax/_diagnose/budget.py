@@ -54,8 +54,8 @@ class Budget:
             left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
             self._reported = elapsed, self.lane_steps
             # a hint if the records are so many that the number of steps is the limit
-            hint = " (--seconds limits them)" if most == self.most else ""
-            self.progress(f"{self.stage}: {elapsed:.0f} s so far, at most {left:.0f} s left{hint}")
+            hint = " (--seconds sets a limit)" if most == self.most else ""
+            self.progress(f"{self.stage}: {elapsed:.0f} s elapsed, at most {left:.0f} s left{hint}")
 
     def begin(self, stage: str) -> None:
         """Report the start of a stage."""
@@ -69,7 +69,7 @@ class Budget:
 
     @contextmanager
     def keeping(self, lane_steps: int) -> Iterator[None]:
-        """Keep the time and the count that so many steps take for what follows."""
+        """Reserve the time and the count of so many steps for the work after the search."""
         seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
         before = self.reserve, self.most
         self.reserve += seconds if np.isfinite(self.seconds) else 0.0
@@ -109,5 +109,5 @@ class Budget:
             return ()
         after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"
         if self.lane_steps >= self.most:
-            after = f" after {self.lane_steps:.2g} simulated steps, the most"
-        return (f"stopped{after}, not tried: {', '.join(self.skipped)}",)
+            after = f" after {self.lane_steps:.2g} simulated steps (its limit)"
+        return (f"The search stopped{after} and did not try: {', '.join(self.skipped)}",)

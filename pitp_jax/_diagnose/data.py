@@ -64,7 +64,8 @@ class Case:
     """A nominal model with its records.
 
     Attributes:
-        model: the nominal. series: thinned, in the order given.
+        model: the nominal.
+        series: thinned, in the order given.
         simulator: of all of them.
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
@@ -92,7 +93,7 @@ class Case:
         return _parts(len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
-        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all that count."""
+        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all valid samples."""
         rows = [s.counts.astype(float) for s in self.series]
         if fold is not None:
             for k in self.folds[fold]:
@@ -114,7 +115,7 @@ class Case:
         return places
 
     def alone(self, places: Sequence[int]) -> "Case":
-        """Return the case of some records alone."""
+        """Return the same case with some of its records only."""
         series = tuple(self.series[k] for k in places)
         simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
         return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
@@ -130,7 +131,7 @@ class Case:
         return rows
 
     def tested(self, fold: int) -> list[np.ndarray]:
-        """Return the samples on which a fold is judged."""
+        """Return the samples on which a fold is scored."""
         rows = [np.zeros(len(s.output), bool) for s in self.series]
         for k in self.folds[fold]:
             place = self._left_out(fold, k)
@@ -158,7 +159,7 @@ def build_case(
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
-            raise BadInput(f"the nominal model diverges on {r.name}: it cannot be diagnosed, identify it again")
+            raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
     # the part of the model that no slot can hold (a trained encoder) is subtracted from the measurement below
     nominal, foreign = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
@@ -279,7 +280,7 @@ def _beside(case: Case, records) -> Case:
 
 
 def excited_hz(case: Case) -> tuple[float, float]:
-    """Return the band of frequencies, Hz, that holds all but a thousandth of the force's energy, either end half."""
+    """Return the frequency band (Hz) with 99.9 % of the force's energy and equal remainders on both sides."""
     forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
     ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
     return ends[0], ends[1]

@@ -60,10 +60,13 @@ _DISAGREE = (
     "effects is reported."
 )
 _REFITTED = (
-    "the nominal model was made from these recordings, so its coefficients were fitted along with every effect "
-    "(as by --refit-nominal)"
+    "The nominal model was identified on these recordings, so its coefficients were also fitted (as with "
+    "--refit-nominal)"
 )
-_IN_PARTS = "fewer than four records: parts of each were left out in turn, so other parts of every drive had been seen"
+_IN_PARTS = (
+    "With fewer than four recordings, parts of each were left out in turn, so every fit had used other parts of the "
+    "same recording"
+)
 
 
 @dataclass(frozen=True)
@@ -208,7 +211,7 @@ def diagnose(
     """
     model = cast(Model, fitted_of(model))  # a Fitted has the attributes of a Model
     if mesh is not None and mesh.is_multi_process:
-        raise BadInput("a diagnosis runs in one process: its mesh may only hold jax.local_devices()")
+        raise BadInput("a diagnosis runs in one process; give a mesh that holds only jax.local_devices()")
     automatic = refit_nominal is None and was_made_from(model, records)
     refit = "automatic" if automatic else "asked" if refit_nominal else "no"
     refit_nominal = refit != "no"
@@ -227,7 +230,7 @@ def diagnose(
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
-    limit.begin("which of them is sure")
+    limit.begin("judging the best set")
     decision = decide(search, own, noise, distinct)
     handed, made, names_back = hand_back(search, decision, model, records, before)
     why, ranges = "", spans(search)
@@ -263,7 +266,7 @@ def diagnose(
     if decision.verdict != "no_gap":
         experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    limit.begin("how certain each part is")
+    limit.begin("judging each part")
     try:
         parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     except KeyboardInterrupt:  # rivals not searched are left out; a second interrupt ends the diagnosis
@@ -344,7 +347,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     # free runs of all recordings follow the search: of the best hypotheses, and for the report
     limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
     # in a refit the nominal was made from these records, so its error on others is unknown
-    misfit, source = own_misfit(case) if not refit else (0.0, "unknown in a refit")
+    misfit, source = own_misfit(case) if not refit else (0.0, "not known in a refit")
     own, noise = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0))
     search = Search(case, refit, exclude, limit, max(own, noise), misfit)
     own, interrupted = 0.0 if refit else own, False
@@ -386,7 +389,7 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 
 
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
-    """Return the experiment that separates the tied effects, or those between which no verdict was possible."""
+    """Return the experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
     if decision.said and decision.tied.get(decision.said[0]):
         names = decision.said[0], decision.tied[decision.said[0]][0]

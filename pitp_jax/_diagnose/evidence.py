@@ -88,7 +88,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
 
 
 def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Draw units, then blocks within each.
+    """Yield bootstrap draws: first units (records or parts of one), then blocks within each.
 
     Yields:
         record, times that it was drawn (count,), its blocks, and how often each of them was (count, blocks).

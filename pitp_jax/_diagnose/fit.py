@@ -66,13 +66,13 @@ class Fit:
             self.unit = np.array([max(abs(self.slots[INDEX[k]]), 1e-12) for k in self.free])
 
     def again(self, **changes) -> "Fit":
-        """Return a copy to continue with."""
+        """Return a copy of the fit, to be continued."""
         fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "taken": 0}
         fresh["done"] = False
         return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
-        """Return a copy with other free parameters, which has not been run."""
+        """Return a copy of the fit with other free parameters, without a run."""
         return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
 
     def value(self, name: str) -> float:
@@ -151,7 +151,7 @@ class Fitter:
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, groups: Sequence[list[tuple[np.ndarray, int, np.ndarray]]]) -> Iterator[list[np.ndarray]]:
-        """Yield the free runs of every group of (slots, record, start), with few groups in memory at once."""
+        """Simulate (slots, record, start) in groups, few of which are in memory at once, and yield their free runs."""
         first, drives = 0, self.case.simulator.drives
         while first < len(groups):
             last, samples = first, 0
@@ -173,7 +173,7 @@ class Fitter:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
     def _residual(self, slots, starts, record: int, run):
-        """Return the projected residual and the moved start.
+        """Return the projected residual and the corrected initial state.
 
         A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
         block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
@@ -246,7 +246,7 @@ class Fitter:
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Move every fit several steps; converged fits stay.
+        """Advance every fit by several steps; converged fits do not change.
 
         Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
         samples.
@@ -270,7 +270,7 @@ class Fitter:
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Return the cost of every fit after one Gauss-Newton step, using its front's slopes for common parameters.
+        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """

@@ -92,7 +92,7 @@ def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
-    """Compare the errors.
+    """Return the gap computed from the errors of the three models.
 
     Args:
         search, decision: of the diagnosis.
@@ -111,7 +111,7 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 
 
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
-    """Return the verdict, at best "partly" if the closed fraction may be 0 or LEFT times the own error remains."""
+    """Return the verdict, limited to "partly" if the closed fraction may be 0 or a large error remains."""
     nothing = gap.ci95 is not None and gap.ci95[0] <= 0
     much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
     return "partly" if verdict == "explained" and (nothing or much) else verdict
@@ -169,9 +169,9 @@ def own_misfit(case: Case) -> tuple[float, str]:
     """
     origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
     if not np.isfinite(origin.misfit):
-        return 0.0, "the sensor's noise: the nominal carries no error of its own"
+        return 0.0, "the sensor's noise, because the model file holds no error of its own"
     noise = origin.noise / scale if origin.noise > 0 else _noise(case)
-    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "what the nominal leaves where nothing is wrong"
+    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "its error on the recordings it was identified on"
 
 
 def _noise(case: Case) -> float:
@@ -182,7 +182,7 @@ def _noise(case: Case) -> float:
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
-    """Return the error that counts beside the noise, for records whose samples are averaged in blocks.
+    """Return the nominal's own error, adjusted for noise, for records whose samples are averaged in blocks.
 
     (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples removes white noise
     on both sides, so the comparison stays that of the full rate.
@@ -201,9 +201,9 @@ def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequen
     before, after = (_over(traces, which, others) for which in ("nominal", "augmented"))
     part = 100 * sum(map(np.sum, searched.values())) / sum(r.samples for r in records)
     return (
-        f"the search worked on {len(pieces)} pieces, {figure(part, 2)} % of the samples; on the samples that it did "
-        f"not use the error is {of_range(after)} of range ({of_range(before)} with the nominal model); all other "
-        "errors are of free runs over all recordings"
+        f"The search used {len(pieces)} pieces with {figure(part, 2)} % of the samples. On the other samples the "
+        f"error is {of_range(after)} of range ({of_range(before)} with the nominal model). All other errors are of "
+        "free runs over all recordings"
     )
 
 

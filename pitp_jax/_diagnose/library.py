@@ -91,7 +91,7 @@ class Scale:
 
 
 def forms(s: Scale) -> list[Form]:
-    """Return every form that these records can show, with its starts."""
+    """Return the forms that can be fitted to these records, with their starting parameters."""
     made, within = [], bounds(s)
     for key, *starts in _starts(s):
         spec = _BY_KEY[key]
@@ -400,7 +400,7 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
 
 
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
-    """Return coefficients with poles beyond `most` (1/s) moved to it, and the slow response unchanged.
+    """Return coefficients with poles limited to `most` (1/s) and an unchanged slow response.
 
     The search steps a linear plant exactly for any poles; the rollout does not, and samples do not show such fast
     poles. For example, a damper with a fitted lag of almost zero diverged in the rollout.

@@ -129,19 +129,19 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
 
 
 def _own_slots(search: Search, name: str) -> list[str]:
-    """Return the parameters of the linear model that a name of the search changes."""
+    """Return the parameters of the linear model that an effect of the search changes."""
     if name == PARAMETERS:
         return list(search.movable)
     return [k for form in search.library if form.name == name for k in form.start if k in search.movable]
 
 
 def _search_name(slots: Sequence[str]) -> str:
-    """Return the name under which the search tries the row of these slots."""
+    """Return the search name of the catalogue row with these slots."""
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
 def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part) -> Part:
-    """Return the part with its certainty, and a likely one with the recording that would make it certain."""
+    """Return the part with its certainty; for a likely part also the recording that would make it certain."""
     if part.effect in decision.said:
         tied = decision.tied.get(part.effect, ())
         return replace(part, certainty="tied" if tied else "certain", tied=tied)
@@ -153,11 +153,11 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
         return part
     other = " and ".join(rival.labels) or "the model without it"
     found: Experiment | None = None
-    if search.budget.allows(f"the recording that tells {part.effect} from {other}"):
+    if search.budget.allows(f"the recording that separates {part.effect} from {other}"):
         found = separate(search.case, search.scale, handed, rival, (part.effect, other))
     if found is None or found.difference < 1:
-        return replace(part, certainty="likely", recording=f"{_ANOTHER} (to tell it from {other})")
-    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to tell it from {other})"
+        return replace(part, certainty="likely", recording=f"{_ANOTHER} (to separate it from {other})")
+    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to separate it from {other})"
     return replace(part, certainty="likely", recording=words, experiment=found)
 
 
@@ -171,7 +171,7 @@ class _Numbers:
         self.longest, self.session = longest / 3, max(search.scale.session, longest) / 3
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
-        """Return the parameters of the effects of one part; those of a second effect have a 2 behind their names."""
+        """Return the parameters of the effects of one part; those of a second effect have the suffix 2."""
         told: dict[str, dict] = {}
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})

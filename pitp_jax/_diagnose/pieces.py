@@ -27,7 +27,7 @@ _STILL = 0.05  # of the largest motion of a recording: a piece with less shows n
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording, from and to in s of its own time."""
+    """A part of a recording, with its start and end in the recording's own time (s)."""
 
     record: str
     from_s: float
@@ -125,7 +125,7 @@ def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record
 
 
 def _distinct(features: np.ndarray, apart: float) -> list[int]:
-    """Return rows of which no two are nearer than `apart`."""
+    """Return the indices of rows at least `apart` from each other."""
     kept: list[int] = []
     for n, row in enumerate(features):
         if not kept or np.linalg.norm(features[kept] - row, axis=1).min() > apart:
@@ -134,7 +134,7 @@ def _distinct(features: np.ndarray, apart: float) -> list[int]:
 
 
 def _farthest(features: np.ndarray, owners: Sequence[int]) -> list[int]:
-    """Return all rows, each the farthest from those before it; the first has the largest motion."""
+    """Return all rows in an order in which each is the farthest from those before it, the largest motion first."""
     owner, order = np.array(owners), [int(np.argmax(features[:, 3]))]
     distance = np.full(len(features), np.inf)
     while len(order) < len(features):

@@ -110,7 +110,7 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
     folds, weights = range(len(case.folds)), 1 / np.sqrt(h.evidence.mse)  # records weigh as in the log score
     masks = [case.masks(fold) for fold in folds]
     bits = [np.sum([(m[k] > 0).astype(np.int64) << f for f, m in enumerate(masks)], 0) for k in range(len(columns))]
-    # Neighbours are redundant: in a long case every n-th row is fitted, and all are judged.
+    # Neighbours are redundant: in a long case every n-th row is fitted, and all are scored.
     step = -(-sum(map(len, columns)) // _ROWS)
     moments = [_moments(x, y, b, step) for x, y, b in zip(columns, h.fit.residuals, bits, strict=True)]
     rows = [[np.full(len(s.output), np.nan) for s in case.series] for _ in _PENALTIES]

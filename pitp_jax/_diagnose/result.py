@@ -85,7 +85,7 @@ def errors_of(search: Search, fit: Fit) -> dict[str, float]:
 
 
 def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Invert a normal matrix where it has information; return which parameters are determined."""
+    """Invert a normal matrix in the directions with information; return also which parameters are determined."""
     d = np.sqrt(np.maximum(np.diag(h), 0))
     unit = np.where(d > 0, d, 1.0)
     value, axes = np.linalg.eigh(h / np.outer(unit, unit))

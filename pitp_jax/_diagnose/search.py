@@ -54,7 +54,7 @@ PARAMETERS = "parameters"
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, fitted and judged out of fold.
+    """A set of effects, fitted and scored out of fold.
 
     Attributes:
         fit: to all records.
@@ -72,7 +72,7 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return its effects by their search names."""
+        """Return the search names of its effects."""
         return self.fit.names
 
     @property
@@ -158,7 +158,7 @@ class Search:
             self.library += [Form(PARAMETERS, None, {})]
 
     def _is_tried(self, form: Form) -> bool:
-        """Return whether a form has a meaning beside the base and is not excluded."""
+        """Return whether a form can be added to the base and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
         if spec is None or form.name in self.exclude:
             return False
@@ -245,7 +245,7 @@ class Search:
         return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> None:
-        """Fit one more effect to every front, each by its best form, and judge it out of fold."""
+        """Fit one more effect to every front, each by its best form, and score it out of fold."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
@@ -266,13 +266,13 @@ class Search:
             names = " and ".join("+".join(sorted(key)) for key in some)
             if first and not self.budget.allows(names):
                 continue
-            # a hypothesis counts only after it is judged, so the fits leave time for that
+            # a hypothesis counts only after its out-of-fold score, so the fits reserve time for that
             with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
                 self._climb(some)
             self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
-        """Fit every hypothesis that lowers the error of the one below it to its optimum, where it waits to be judged.
+        """Optimise every hypothesis that lowers the error of the one below it, and queue it for its out-of-fold score.
 
         The first steps use few records only, so the best hypotheses continue even if these steps improve no other
         record.
@@ -335,7 +335,7 @@ class Search:
             fits = fits[count:]
 
     def judged(self, names: Set[str]) -> Hypothesis | None:
-        """Return the hypothesis of these effects, refitted without each fold if necessary; None: not tried."""
+        """Return the hypothesis of these effects, refitted without each fold if necessary; None if not tried."""
         key = frozenset(names)
         if key in self.waiting:
             self._settle([self.waiting[key]])
@@ -347,12 +347,12 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """Return the form with the fewest parameters of those with at most GAIN more error than the best."""
+        """Return the form with the fewest parameters whose error is at most GAIN above the best."""
         best = min(forms, key=lambda f: f.cost)
         return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return memories of one time constant, or of two a decade apart if those gain GAIN."""
+        """Return memories with one time constant, or with two a decade apart if these reduce the error by GAIN."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
             if f.names[-1] not in DOUBLED:
@@ -396,7 +396,7 @@ class Search:
         return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
-        """Return the most promising starts of every set, for the sets with the best starts.
+        """Return the most promising starts of the most promising sets.
 
         An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
@@ -441,7 +441,7 @@ class Search:
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
-        """Reset those changed coefficients of the best set to the nominal that need not have changed."""
+        """Reset coefficients of the best set to the nominal where their change is not needed."""
         best = self.best()
         if PARAMETERS not in best.names:
             return
@@ -483,20 +483,20 @@ class Search:
     # -- the beam ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Fill `every` level by level."""
+        """Search level by level, and store the hypotheses in `every`."""
         # in a refit for every linear structure, because gear friction cannot be found without its mass or its delay
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
         for depth in range(1, DEPTH + 1):
             if depth == 1 and not self.budget.allows("sets of 1 effect"):
                 break
-            self.budget.begin(f"sets of {depth}: beside {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: added to {' and '.join(map(_written, fronts))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
                 break
             if depth == 1 and not any(h.rms < rules.FIRST * self.base.rms for h in level[:1]):
-                self.budget.begin("no single effect helps")
+                self.budget.begin("no single effect improves the fit significantly")
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # at the nominal's own error there is nothing more to explain
@@ -517,7 +517,7 @@ class Search:
         return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
-        """Try also sets that lack one effect of the best, because the first effect may stand in for a later one."""
+        """Try also sets that lack one effect of the best, because the first effect may have replaced a later one."""
         best = self.best()
         if len(best.names) > 2:
             for name in best.names:
@@ -560,7 +560,7 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """Return the best of a level, or one as good with changed coefficients, or one parameter instead of all."""
+        """Return the best set of a level, or an equally good one with fewer or only nominal parameters."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
         if PARAMETERS in best.names:
             others = {*best.names} - {PARAMETERS}
@@ -624,7 +624,7 @@ def _in_form(fit: Fit, own: Set[str], form: Form) -> Fit:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Return fits best first, one of every form before a second one, because first steps of polynomials look alike."""
+    """Return the fits best first, but the best of every form before a second one of any form."""
     seen: dict[frozenset, int] = {}
     turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
     return [

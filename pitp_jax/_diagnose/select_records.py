@@ -18,6 +18,6 @@ def usable(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[str, ..
     check_set(records)
     name, times = Counter(r.name for r in records).most_common(1)[0]
     if times > 1:
-        raise BadInput(f"{times} records are named {name!r}: give each its own name (dataclasses.replace(r, name=...))")
+        raise BadInput(f"{times} records are named {name!r}; give each its own name (dataclasses.replace(r, name=...))")
     moving, notes = in_motion(records)
     return tuple(moving), notes

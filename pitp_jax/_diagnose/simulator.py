@@ -134,7 +134,7 @@ class Simulator:
 
     def _block(self, slots, records, starts, width: int, costly: bool) -> list[np.ndarray]:
         lanes = len(records)
-        # copies of the last lane fill the block, so that programs have few widths
+        # copies of the last simulation fill the block, so that programs have few widths
         fill = np.concatenate([np.arange(lanes), np.full(width - lanes, lanes - 1)])
         slots, records, starts = slots[fill], records[fill], starts[fill]
         drives = [self.drives[r] for r in records]
@@ -156,7 +156,7 @@ class Simulator:
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
         """Return the delayed input at every step's ends, shape (steps + 1, lanes); its force is linear in between."""
-        # one delayed input for all lanes that share record and delay
+        # one delayed input for all simulations with the same record and delay
         pairs, which = np.unique(np.stack([records, _delay(slots)], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
         for record, delay in pairs:
@@ -192,12 +192,12 @@ def _delay(slots: np.ndarray) -> np.ndarray:
 
 
 def root(force: np.ndarray) -> np.ndarray:
-    """Return V of V|V|."""
+    """Return V from the value of V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
 
 
 def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return E, b and d of (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) for a_0 x + a_1 x' + a_2 x'' = F, per lane.
+    """Return E, b and d of (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) for every a_0 x + a_1 x' + a_2 x'' = F.
 
     The exponential of [[A, B, 0], [0, 0, 1], [0, 0, 0]] by scaling and squaring; a_2 = 0: order 1, v is not used.
     """

@@ -62,5 +62,5 @@ def equation(coefficients: tuple[str, ...], beside: list, units: Units) -> str:
     drive = ("V" if units.input_word == "voltage" else "u") + ("^2" if units.squared else "")
     products = dict(zip((p.name for p in TERM.parameters), PRODUCTS, strict=True))
     terms = " + ".join(f"{c} {products[c].replace('F', drive)}" for c in coefficients)
-    others = f", beside {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
+    others = f", in addition to {' and '.join(f'{f.name} ({f.form})' for f in beside)}" if beside else ""
     return f"missing force = {terms}{others}"

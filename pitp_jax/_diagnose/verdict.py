@@ -28,7 +28,7 @@ _DIFFERS = (
     "same machine?"
 )
 _FLEXIBLE = "A general black-box model fits equally well, so no single cause can be named with confidence."
-_LARGER = "A larger set of effects leaves less than half of the error, and some of these effects are not needed in it."
+_LARGER = "A larger set of effects leaves less than half of the error, and does not need some of these effects."
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
         return answer("unknown", reason=_DIFFERS, **seen)
     if FREE in chosen.names:
-        return answer("unknown", reason="A force that has no name is part of the best model.", **seen)
+        return answer(
+            "unknown",
+            reason="The best model contains a force that is not in the catalogue, so no cause is certain.",
+            **seen,
+        )
     deeper = [h for h in search.every.values() if len(h.names) > len(chosen.names) and h.rms < rules.HALF * chosen.rms]
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
@@ -156,7 +160,7 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
-    """Return whether a rival only frees all of the nominal's parameters while the set changes one of them."""
+    """Return whether a rival frees all of the nominal's parameters and the set only one of them."""
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
@@ -188,7 +192,7 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
 
 
 def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
-    """Return whether the set with the twin instead has a larger error by FURTHER, so that the band separates them."""
+    """Return whether the set fits significantly better than with any equivalent effect instead of this one."""
     for twin in TWINS.get(label, ()):
         other = search.judged({*chosen.names} - {name} | {twin})
         if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
@@ -197,7 +201,7 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bo
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:
-    """Return the effects that can replace one; without these too, the set must be certain. None: too many."""
+    """Return the labels of effects that can replace one effect; None if there are too many."""
     group, labels = {name}, []
     while len(group) < rules.TIED + 1:
         rival = rival_without(search, chosen, group)

@@ -176,7 +176,7 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 
 def _tone(seen: Seen, errors) -> dict | None:
-    """Return the `steady_tone` of the residuals: its frequency, number of records, and least fraction of a gap."""
+    """Return frequency, number of records and energy fraction of the residuals' `steady_tone`."""
     tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],
@@ -271,18 +271,18 @@ def _sentence(seen: Seen, out: dict) -> str:
     steady = ""
     if tone is not None:
         steady = (
-            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in "
-            f"every record, whatever its drive. "
+            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in every "
+            "recording, for every input. "
         )
     largest = ""
     if loud:
         band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
         size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
         largest = (
-            f"The missing force is largest for drives of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
+            f"The missing force is largest for inputs of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
             f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; "
         )
     return f"{steady}{largest}" + (
-        f"{100 * out['records'][record]:.0f} % of the gap is "
-        f"in {record}, {100 * lines['share']:.0f} % between {lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
+        f"{100 * out['records'][record]:.0f} % of the gap is in {record}, and {100 * lines['share']:.0f} % between "
+        f"{lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
     )

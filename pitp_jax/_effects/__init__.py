@@ -29,10 +29,10 @@ def lookup(name: str, form: str | None = None) -> EffectSpec:
     forms = [r for r in CATALOGUE if r.name == name]
     if not forms:
         names = ", ".join(dict.fromkeys(r.name for r in CATALOGUE))
-        raise BadInput(f"no effect is called {name!r}; there are {names}")
+        raise BadInput(f"unknown effect {name!r}; the effects are {names}")
     chosen = [r for r in forms if form in (None, r.form)]
     if not chosen:
-        raise BadInput(f"{name} has no form {form!r}; it has {', '.join(r.form for r in forms)}")
+        raise BadInput(f"{name} has no form {form!r}; its forms are {', '.join(r.form for r in forms)}")
     return chosen[0]
 
 
@@ -53,5 +53,5 @@ def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
     spec = lookup(name, form)
     wanted = [p.name for p in spec.parameters]
     if set(numbers) != set(wanted):
-        raise BadInput(f"{spec.key} has the numbers {', '.join(wanted)}; given: {', '.join(numbers) or 'none'}")
+        raise BadInput(f"{spec.key} has the parameters {', '.join(wanted)}; given: {', '.join(numbers) or 'none'}")
     return spec(*(numbers[k] for k in wanted))

@@ -24,7 +24,7 @@ def _stretched(form: str, title: str, equation: str, factor: Callable, costly: b
 
 
 def _no_field(force, possible, inside):
-    """Return the force where it is possible, otherwise infinity, which no field can produce."""
+    """Return the film's force for a wanted force, infinite if no electric field can produce it."""
     return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 
@@ -40,11 +40,12 @@ COUPLING = (
         lambda r: jnp.maximum(1 + r, 0.05),
     ),
     _stretched(
-        "exponential", "Electrodes that zip up pull less and less, or more and more, as they move.", "F exp(b x)",
+        "exponential", "Zipping electrodes pull less and less, or more and more, as they move.", "F exp(b x)",
         lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)), costly=True,
     ),
     EffectSpec(
-        "dielectric_saturation", "rational", (_INVERSE,), "At high field more voltage no longer brings its full force.",
+        "dielectric_saturation", "rational", (_INVERSE,), "At high field the force grows less than with the square of "
+        "the voltage.",
         "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",
         law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,
     ),

@@ -57,19 +57,19 @@ _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
 DRAG = (
     EffectSpec(
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
-        "Damping grows with speed, as of a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
+        "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
     ),
 )  # fmt: skip
 FRICTION = (
     EffectSpec(
-        "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction holds the motion back by the same force at any speed.",
+        "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction opposes the motion with the same force at any speed.",
         "f = level sgn(x')", "dissipation", "C", resolved=True,
         law=lambda p, now: dry(now, p.level),
     ),
     EffectSpec(
         "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
-        "Dry friction that grows with the force of the spring, as of a loaded gear.", "f = (level + mu |k x|) sgn(x')",
+        "Dry friction that grows with the force of the spring, as in a loaded gear.", "f = (level + mu |k x|) sgn(x')",
         "dissipation", "C", resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
     ),

@@ -85,7 +85,7 @@ DRIVE = (
     ),
     EffectSpec(
         "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
-        "Nothing moves below a voltage, and above it acts what exceeds it.",
+        "Below a threshold the voltage has no effect; above it, only the excess acts.",
         "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold", "drive", "IN",
         law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
         inverse=lambda p, v, dt: v + p.threshold * jnp.sign(v),
@@ -96,7 +96,7 @@ DRIVE = (
         law=lambda p, u, z: u + p.offset,
     ),
     EffectSpec(
-        "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts T later.",
+        "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts after a delay T.",
         "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
         law=lambda p, u, z: u,
         # up to a period of the resonance, as behind a bus or a filter
@@ -109,7 +109,7 @@ DRIVE = (
     ),
     EffectSpec(
         "charge_retention", "one store", (Parameter("k", off=0.0), _STORE),
-        "Charge stays in the film and goes on pulling when the voltage is gone.", "V = u + q, tau q' = k |u| - q",
+        "Charge stays in the film and keeps pulling when the voltage is zero.", "V = u + q, tau q' = k |u| - q",
         "drive", "IN", kernel=lag(of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
     ),
@@ -124,7 +124,7 @@ DRIVE = (
     EffectSpec(
         "hysteresis", "Dahl of the command's integral",
         (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
-        "Where the command is a speed, a force builds up over the way that it asks for and then stays.",
+        "If the command is a speed, a force builds up over the commanded distance and then stays constant.",
         "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN",
         costly=True, kernel=dahl_of_integral(), reported=_by_area,
         law=lambda p, u, z: u + p.level * z[0],

@@ -150,7 +150,7 @@ class Effect:
 
     @property
     def forces(self) -> bool:
-        """Return whether the effect is a force beside the nominal's."""
+        """Return whether the effect is a force added to the nominal's."""
         return self.port in ("K", "C", "M", "T")
 
     @property

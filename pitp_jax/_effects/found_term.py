@@ -1,4 +1,4 @@
-"""A force without a name: products of displacement, velocity and the film's force that no catalogue effect has.
+"""An unnamed force: products of displacement, velocity and the film's force that no catalogue effect has.
 
     f = c1 x x' + c2 x^2 x' + c3 x' F        F the film's force (V^2 or V)
 
@@ -22,6 +22,7 @@ TERM = EffectSpec(
         Parameter("c2", "V^2 s/x^3", length=-2, speed=-1, force=1, positive=False, off=0.0),
         Parameter("c3", "s/x", speed=-1, positive=False, off=0.0),
     ),
-    "An equation found in the data, where no name fits.", "f = c1 x x' + c2 x^2 x' + c3 x' F", "found", "C",
+    "An equation found in the data, if no effect of the catalogue fits.", "f = c1 x x' + c2 x^2 x' + c3 x' "
+    "F", "found", "C",
     law=_law, driven=True,
 )  # fmt: skip

@@ -27,7 +27,7 @@ MODE = Parameter("omega", "rad/s", resonance=True), Parameter("zeta", most=0.5)
 MASSES = (
     EffectSpec(
         "added_mass", "share", (Parameter("d", positive=False, off=0.0),),
-        "More (or less) mass moves than the model knows of.", "f = d a_2 x''", "inertia", "M", moves="mass",
+        "More (or less) mass moves than the model contains.", "f = d a_2 x''", "inertia", "M", moves="mass",
         law=lambda p, now: 0.0 * now.x,
         mass=lambda p, now: p.d * now.coefficients[min(2, now.order)],
     ),
@@ -68,7 +68,7 @@ FORCE_LIMIT = (
 _FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
 SLACK = (
     EffectSpec(
-        "slack", "free fall", (_FALL,), "The load is only pulled, and falls freely where the actuator lets go.",
+        "slack", "free fall", (_FALL,), "The actuator can only pull the load; otherwise the load falls freely.",
         "x'' >= -g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall,
     ),
 )  # fmt: skip

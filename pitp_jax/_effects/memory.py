@@ -27,7 +27,7 @@ def _by_time(p, k, plant):
 
 
 def _by_give(p, k, plant):
-    """Report a loop as the bristles of dry friction if it gives little before it slides."""
+    """Report a hysteresis loop as dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)
@@ -46,7 +46,8 @@ BRANCHES = (
 )
 LOOPS = (
     EffectSpec(
-        "hysteresis", "plays", _WIDTH, "Rubbing inside the material makes a loop that is the same at every frequency.",
+        "hysteresis", "plays", _WIDTH, "Internal friction of the material makes a loop that is the same at every "
+        "frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
         costly=True,
         # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
@@ -54,14 +55,15 @@ LOOPS = (
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
     ),
     EffectSpec(
-        "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each turn and then stays.",
+        "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each reversal and then stays "
+        "constant.",
         "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
         stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
         # beyond its bounds gamma makes a spring of any shape
         "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
-        "A loop that gets softer, or with gamma below -1 harder, the further it is run through.",
+        "A loop that gets softer with distance, or harder with gamma below -1.",
         "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K", costly=True,
         kernel=bouc_wen(), stiffens=True,
         law=lambda p, now: now.k * p.kappa * now.z[0],
@@ -72,7 +74,7 @@ LOOPS = (
 DRIFT = (
     EffectSpec(
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
-        "The stiffness changes as the session goes on, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
+        "The stiffness changes during the session, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
         costly=True, kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
     ),
 )  # fmt: skip

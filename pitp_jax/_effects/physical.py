@@ -20,7 +20,7 @@ def physical_factor(p: Parameter, state: Iterable[float], force: float) -> float
 
 
 def in_scales(effect: Effect, old: tuple, new: tuple) -> Effect:
-    """Return the same effect in a model of other scales (state, force)."""
+    """Return the effect converted to a model with other scales (state, force)."""
     return effect.times([physical_factor(p, *old) / physical_factor(p, *new) for p, _ in effect.numbers()])
 
 

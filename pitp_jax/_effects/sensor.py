@@ -43,12 +43,12 @@ SENSOR = (
     # the curves rise over the range of the records, so within these bounds they can be inverted
     EffectSpec(
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
-        "The sensor's scale bends differently on either side.",
+        "The sensor is nonlinear, differently on either side.",
         "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
     ),
     EffectSpec(
         "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
-        "The sensor reads ever less of the motion towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
         costly=True,
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
         # beyond its range the sensor cannot show the wanted reading: the last possible position
@@ -59,7 +59,7 @@ SENSOR = (
     # without a unique inverse: of two displacements with the same reading, the one that is not folded
     EffectSpec(
         "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
-        "The sensor does not tell the direction: beyond a place it reads back again.",
+        "The sensor does not show the direction: beyond a position its reading decreases again.",
         "y = fold + |x - fold|", "sensor", "OUT",
         law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
     ),
@@ -78,12 +78,12 @@ SENSOR = (
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
     EffectSpec(
-        "sensor_lag", "one lag", (_TAU,), "The sensor answers late.", "tau y' = x - y", "sensor", "OUT",
+        "sensor_lag", "one lag", (_TAU,), "The sensor responds with a lag.", "tau y' = x - y", "sensor", "OUT",
         kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
     ),
     EffectSpec(
         "sensor_lag", "second order", (_TAU, Parameter("zeta")),
-        "The sensor is a low-pass filter, or stands on a soft mount.",
+        "The sensor is a low-pass filter, or has a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
         kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
         # at tau = 0 the oscillator is at its bound, and would replace x
@@ -91,7 +91,7 @@ SENSOR = (
     ),
     EffectSpec(
         "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
-        "A mass on a spring stands between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
+        "A mass on a spring is between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
         "inertia", "OUT", kernel=oscillator(),
         # from gain 1 on the reading has a zero in the right half plane, and shooting on the rollout takes over
         law=lambda p, x, z: x + p.gain * (z[0] - x), solvable=lambda p: p.gain < 0.95,

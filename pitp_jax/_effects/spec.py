@@ -55,7 +55,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """One form of one effect, as data; two rows are equal where name, form and parameters are.
+    """One form of one effect, as data; two rows are equal if name, form and parameters are.
 
     Attributes:
         name: the effect, as a diagnosis prints it; form: one of its laws.
@@ -113,7 +113,7 @@ class EffectSpec:
 
     @property
     def key(self) -> str:
-        """Return its name in files and tables: name, then form."""
+        """Return the effect's name in files and tables: name, then form."""
         return f"{self.name}: {self.form}"
 
     @property
@@ -129,7 +129,7 @@ class EffectSpec:
     def __call__(self, *values) -> Effect:
         """Return the effect with these parameters, in the order of `parameters`."""
         if len(values) != len(self.parameters):
-            raise TypeError(f"{self.key} has {len(self.parameters)} numbers, not {len(values)}")
+            raise TypeError(f"{self.key} has {len(self.parameters)} parameters, not {len(values)}")
         # an array keeps its precision, a plain number gets that of training and rollout
         return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 

@@ -97,7 +97,7 @@ _CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
 SPRINGS = (
     EffectSpec(
         "stiffening", "cubic", (Parameter("c", "1/x^2", length=-2, off=0.0),),
-        "The spring gets harder the further it is moved.", "f = k c x^3", "stiffness", "K",
+        "The spring gets harder with displacement.", "f = k c x^3", "stiffness", "K",
         law=lambda p, now: now.k * p.c * now.x**3,
     ),
     EffectSpec(
@@ -108,7 +108,7 @@ SPRINGS = (
     _polynomial("stiffening", "The spring gets harder towards the ends of the motion."),
     EffectSpec(
         "softening", "quadratic", (Parameter("c", "1/x", length=-1, off=0.0),),
-        "The spring gets softer the further it is moved.",
+        "The spring gets softer with displacement.",
         "f = -k c x^2, no further than where the spring's slope is a tenth of k", "stiffness", "K",
         law=_quadratic,
     ),
@@ -120,19 +120,19 @@ SPRINGS = (
     ),
     EffectSpec(
         "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
-        "The spring gets softer the further it is stretched, and harder the other way.",
+        "The spring gets softer in one direction and harder in the other.",
         "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
         law=_exponential, costly=True,
     ),
     EffectSpec(
-        "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, which pulls less the further it turns.",
+        "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, whose torque grows less than the angle.",
         "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K", costly=True,
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
         "softening", "weight on an arm",
         (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
-        "A weight on an arm pulls beside the spring, less the further it turns.",
+        "A weight on an arm acts in addition to the spring; its torque grows less than the angle.",
         "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True, costly=True,
         law=_weight,
     ),
@@ -143,23 +143,23 @@ SPRINGS = (
     ),
     EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
-        "What was stretched further before is softer since.",
+        "The spring is softer after a larger stretch (Mullins effect).",
         "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST, costly=True,
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,
     ),
     EffectSpec(
-        "end_stop", "above", _STOP, "Beyond some displacement the motion runs into something stiff.",
+        "end_stop", "above", _STOP, "Above a displacement the motion runs into a stiff stop.",
         "f = k kappa max(x - place, 0)", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * jnp.maximum(now.x - p.place, 0.0),
     ),
     EffectSpec(
-        "end_stop", "below", _STOP, "Below a displacement the motion runs into something stiff.",
+        "end_stop", "below", _STOP, "Below a displacement the motion runs into a stiff stop.",
         "f = -k kappa max(-x - place, 0)", "stiffness", "K",
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     EffectSpec(
         "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1, positive=False)),
-        "On each side, at a place of its own, the motion runs into something stiff.",
+        "On each side, at its own displacement, the motion runs into a stiff stop.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
     ),

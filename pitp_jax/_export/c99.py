@@ -10,6 +10,7 @@ import numpy as np
 
 from .. import __version__
 from .._model.coordinate import direction, sign
+from .._model.coverage import trained_words
 from .._model.fitted import Fitted
 from .._model.model import Model
 from .._table.quantity import grouped, per_second
@@ -109,12 +110,13 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
     kind = np.float32 if plan.single else np.float64
     rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
     return substitutions(plan) | {
+        "excited": trained_words(Fitted(plan.model, plan.origin)),
         "count": str(planning.SAMPLES), "every": str(test.every), "what": test.what, "range": repr(full),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
         "tolerance": repr(planning._PREDICTED[precision] + rounding),
         "force_tolerance": repr(planning._PLANNED[precision]),
-        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; at this one its "
-        f"predictions are {cost:.2g} % of the range away (e_rms).\n", "precision": precision,
+        "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; running at this one changes "
+        f"its predictions by {cost:.2g} % of range (e_rms).\n", "precision": precision,
     }  # fmt: skip
 
 
@@ -158,7 +160,7 @@ def _meaning(plan: Plan) -> str:
 def loop_text(gains: PIGains) -> str:
     """Return the closed loop in one line."""
     if np.isinf(gains.time_constant):
-        return "no controller, the feedforward alone"
+        return "no controller, feedforward only"
     margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
     return f"closed-loop time constant {gains.time_constant:.3g} s, {margins}"
 

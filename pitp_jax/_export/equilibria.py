@@ -118,7 +118,7 @@ def _voltages(model: Model) -> tuple[float, float]:
 
 
 def _force(model: Model, u: float) -> float:
-    """Compute the force of the film (V^2 or V) under a voltage that has stood for ever."""
+    """Compute the film's settled force (V^2 or V) under a constant voltage."""
     film = jnp.asarray(u)
     for effect in ports.drives(model):
         film = effect.apply(film, effect.start(film))

@@ -70,7 +70,7 @@ def export_fmu(
         >>> pitp.export_fmu(model, folder / "fmu", fmi=3)  # doctest: +SKIP
     """
     if fmi not in _MISSING:
-        raise BadInput(f"--fmi {fmi}: is neither 2 nor 3")
+        raise BadInput(f"--fmi {fmi}: is not 2 or 3")
     # A co-simulation sets an input at the start of a step and holds it; the next value is unknown.
     plan = planning.plan(model, name, rate, precision, np.inf, held=True)
     cost = rate_error(plan)

@@ -92,7 +92,7 @@ def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
-    """Run a primitive that only moves elements on their places; return the origin of each output's elements."""
+    """Apply a primitive that only moves elements to their indices; return the origin of each output's elements."""
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
         return [args[0].reshape(equation.outvars[0].aval.shape)]
@@ -102,7 +102,7 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
     if name == "concatenate":
         return [np.concatenate(args, params["dimension"])]
     if name not in _MOVES:
-        raise BadInput(f"a step with the operation {name} cannot be written as C: use others in an encoder of your own")
+        raise BadInput(f"a step with the operation {name} cannot be written as C; use other operations in your encoder")
     moving = _MOVES[name]
     firsts = np.cumsum([0, *(a.size for a in args[:moving])])
     # JAX itself moves the places, as numbers, so no rule of slicing or padding is written twice
@@ -122,10 +122,13 @@ _MOVES = {
 
 
 def _number(array: np.ndarray, equation) -> jax.Array:
-    """Return indices, which must be known."""
+    """Return an array of scalars as integer indices; refuse it if they are not known when the code is written."""
     # otherwise the step would need an array in memory and a check of its bounds
     if any(isinstance(a, Node) for a in array.ravel()):
-        raise BadInput(f"a step whose {equation.primitive.name} takes a place found while it runs cannot be written")
+        raise BadInput(
+            f"a step whose {equation.primitive.name} reads at an index computed at run time cannot be "
+            "written as C; use fixed indices in your encoder"
+        )
     return jnp.asarray(np.asarray(array.tolist(), int))
 
 
@@ -250,7 +253,7 @@ def _scattered(make, params, args, equation):
         return np.asarray(equation.primitive.bind(jnp.zeros(target.shape, kind), indices, updates, **params)).ravel()
 
     if np.max(spread(np.ones(update.size)), initial=0) > 1:
-        raise BadInput("a step that adds twice to one place cannot be written: report it with the model")
+        raise BadInput("a step that adds twice to one element cannot be written as C; report it with the model")
     scattered, added = target.ravel().copy(), equation.primitive.name != "scatter"
     # numbered from 1, so that 0 is a place without an element
     for k, source in enumerate(spread(np.arange(1, update.size + 1)).astype(int)):
@@ -323,7 +326,10 @@ def _repeated(make, params, args, equation):
     while True:
         goes = _run(make, *_opened(params["cond_jaxpr"]), [*first, *carry])[0].item()
         if isinstance(goes, Node):
-            raise BadInput("a step with a loop that ends by a value found on the way has no bounded time: not exported")
+            raise BadInput(
+                "a step with a loop of unknown length has no bounded time and cannot be exported; use "
+                "loops of fixed length"
+            )
         if not goes:
             return carry
         carry = _run(make, *_opened(params["body_jaxpr"]), [*second, *carry])

@@ -78,7 +78,7 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
     if time_constant is not None and np.isposinf(time_constant):
         return PIGains(0.0, 0.0, np.inf, np.inf, 1.0)
     if time_constant is not None and not time_constant > 0:
-        raise BadInput(f"--time-constant {time_constant:g}: must be a positive number of seconds")
+        raise BadInput(f"--time-constant {time_constant:g}is not a positive number of seconds")
     tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
     if time_constant is None:
         return _shortest(tuned, slowest, dt, _CHOSEN)
@@ -86,8 +86,9 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
     if gains.max_sensitivity > SENSITIVE:
         enough = _shortest(tuned, max(slowest, time_constant), dt, SENSITIVE)
         raise BadInput(
-            f"--time-constant {time_constant:g} s: the maximum sensitivity would be {gains.max_sensitivity:.3g}, above "
-            f"{SENSITIVE:g} (gain margin {gains.gain_margin:.3g}); {_rounded_up(enough.time_constant):g} s keeps it"
+            f"--time-constant {time_constant:g} s: the maximum sensitivity would be {gains.max_sensitivity:.3g}, "
+            f"above {SENSITIVE:g} (gain margin {gains.gain_margin:.3g}); give at least "
+            f"{_rounded_up(enough.time_constant):g} s"
         )
     return gains
 
@@ -166,7 +167,9 @@ def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]
             points.append((state, u, way / (2 * u) if square else way))  # dx/dF = dx/du du/dF, F = u^2
             stiffness.append(point.stiffness)
     if not points:
-        raise BadInput(f"no PI controller: no voltage of the model's range holds a displacement of its stroke{_ALONE}")
+        raise BadInput(
+            f"no PI controller: no voltage in the model's range holds a displacement within its stroke{_ALONE}"
+        )
 
     def run(state, voltage):
         after, out = forward.run(state, voltage[None])

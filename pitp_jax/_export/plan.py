@@ -152,8 +152,8 @@ class Plan:
         if self.single and error > ALLOWED:
             raise BadInput(
                 f"--precision single: at {1 / self.dt:g} Hz a target of {self.units.output.text(smallest, 3)} within "
-                f"{self.units.output.text(full, 3)} would be off by {100 * error:.2g} % of the force: "
-                "export it in double precision, or at another --rate"
+                f"{self.units.output.text(full, 3)} would have an error of {100 * error:.2g} % of the force; give "
+                "--precision double, or another --rate"
             )
         return window
 
@@ -210,11 +210,13 @@ def plan(
         BadInput: no single model, a name that is not an identifier, or an invalid rate or precision.
     """
     if not isinstance(model, Model | Fitted):
-        raise BadInput(f"{type(model).__name__}: only a single model can be exported; choose one of its members")
+        raise BadInput(f"{type(model).__name__}: only a single model can be exported; export one of its members")
     if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]{0,39}", name):
-        raise BadInput(f"--name {name[:60]!r}: is no identifier; use letters, digits and _, a letter first, 40 at most")
+        raise BadInput(
+            f"--name {name[:60]!r}: is not an identifier; use letters, digits and _, a letter first, at most 40"
+        )
     if precision not in ("single", "double"):
-        raise BadInput(f"--precision {precision!r}: is neither single nor double")
+        raise BadInput(f"--precision {precision!r}: is not single or double")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
     fitted = fitted_of(model)
@@ -223,7 +225,7 @@ def plan(
         double = in_double(fitted.model)
     made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision == "single", held, time_constant)
     if not made.dt <= 100 * own:
-        raise BadInput(f"--rate {rate:g}: a hundredth of the model's {1 / own:g} Hz at least")
+        raise BadInput(f"--rate {rate:g}: too low; give at least a hundredth of the model's {1 / own:g} Hz")
     return made
 
 
@@ -277,7 +279,7 @@ def _vector(plan: Plan) -> Vector:
 
 
 def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the input of every step between these, and the displacement that the model gives."""
+    """Interpolate a coarse input to every step, and return it with the model's displacement."""
     low, high, _ = plan.voltages
     u = np.clip(coarse, low, high)
     if plan.single:  # the controller reads the vector in float, so the reference must start with the same numbers
@@ -326,13 +328,15 @@ def whole_folder(folder: str | Path) -> Iterator[Path]:
     """
     target = Path(folder).resolve()
     if target.exists():
-        raise BadInput(f"{folder}: exists already; give a folder that is not there yet, nothing is overwritten")
+        raise BadInput(f"{folder}: exists already and is not overwritten; give a folder that does not exist yet")
     if not target.parent.is_dir():
         raise BadInput(f"{folder}: there is no folder {target.parent}; create it first")
     try:
         stage = Path(mkdtemp(prefix=".pitp-", dir=target.parent))
     except OSError as error:
-        raise BadInput(f"{folder}: no right to write in {target.parent} ({error.strerror})") from None
+        raise BadInput(
+            f"{folder}: no permission to write in {target.parent} ({error.strerror}); choose another place"
+        ) from None
     try:
         yield stage
         stage.chmod(0o755)

@@ -111,7 +111,7 @@ class Program:
         return count
 
     def constants(self) -> int:
-        """Return how many numbers its tables hold."""
+        """Return the number of constants in its tables."""
         blocks = [node.block for node in self.nodes() if node.block is not None]
         return sum(b.body.constants() if isinstance(b, Loop) else np.asarray(b).size for b in blocks)
 
@@ -124,7 +124,7 @@ class Builder:
     count: int = 0
 
     def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
-        """Return the node of this operation, new or made before."""
+        """Return the node of this operation, new or existing."""
         # by type too: 1, 1.0 and True are equal in Python, and different in C
         key = (op, tuple(id(a) if isinstance(a, Node) else (type(a), a) for a in args), id(block))
         if key not in self.known:

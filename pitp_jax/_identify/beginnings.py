@@ -52,7 +52,7 @@ _FINEST = 1e-5  # fraction of the output's deviation: no record resolves less, e
 def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
     """Return each record's initial state, the poles of order 2 (rad/s) and the residual as a fraction of the output.
 
-    The roots are None and the fraction 1 where no such model could be fitted.
+    The roots are None and the fraction 1 if no such model could be fitted.
     """
     begun = [from_known(r) for r in records]
     chosen, small = _decimated(begun, input_map)

@@ -82,7 +82,7 @@ def search(
             continue
         candidates += here
         best = min(here, key=lambda c: c.score)
-        progress(f"order {order}: {100 * best.score:.3g} % of the output's deviation left on blocks left out")
+        progress(f"order {order}: {100 * best.score:.3g} % of the output's deviation unexplained on held-out blocks")
     return candidates
 
 
@@ -96,8 +96,8 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
     """Return whether to try this order: the best known order is the last one, or the last but one at order 4.
 
-    Also if no order explains half of the output yet, or the last one halved the cost in sample: three poles of two
-    modes explain no held-out block.
+    It also does if no order explains half of the output yet, or the last one halved the in-sample cost: three poles for
+    two modes explain no held-out block.
     """
     known = [c for c in earlier if c.known]
     costs = [min((c.cost for c in known if c.structure.order < n), default=np.inf) for n in (order - 1, order)]
@@ -118,7 +118,7 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
 
 
 def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
-    """Return the best fit started from the frequency response, or from other starts if a simpler model fits better."""
+    """Return the best fit from the frequency response, with further starts if that is worse than a simpler model."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None

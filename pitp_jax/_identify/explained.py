@@ -23,25 +23,24 @@ _GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the m
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
     """Return whether the model explains anything, and a warning if it explains little or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
-    left = f"{100 * chosen.heldout.score:.0f} % of the output's rms is left on held-out blocks"
+    left = f"{100 * chosen.heldout.score:.0f} % of the output's rms remains unexplained on held-out blocks"
     if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
         if _fed_back(problem):
             return False, (
-                f"The model explains nothing but the sensor's noise, and the input follows from it ({left}): a "
-                "controller holds the plant in place, and such records determine no model. Record with a test signal "
-                "in the reference"
+                f"The model explains only the sensor's noise, which a controller feeds back into the input ({left}). "
+                "Such recordings determine no model; add a test signal to the reference"
             )
         return least < NOTHING, (
-            f"{left}, and most of the output is its sensor's noise: such records determine no model. Record with a "
+            f"{left}, and most of the output is sensor noise. Such recordings determine no model; record with a "
             "larger excitation"
         )
     if least >= NOTHING and _folded_left(problem) < NOTHING:
         return True, (
-            f"{left}, but a folded reading (|y| or y^2) of the output is explained better: the sensor does not "
-            "show the direction. `pitp diagnose` names it"
+            f"{left}, but |y| or y^2 is explained better than the output y: the sensor does not show the direction of "
+            "motion. Run `pitp diagnose` to confirm it"
         )
     if least >= NOTHING:
-        return False, f"The model explains nothing: {left}, and no order explains more. {_reason(problem)}"
+        return False, f"The model explains nothing: {left}, at any order. {_reason(problem)}"
     if chosen.heldout.score >= LITTLE:
         return True, f"{left}: the model explains only a part. {_reason(problem)}"
     return True, None
@@ -50,8 +49,8 @@ def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Proble
 def _reason(problem: Problem) -> str:
     if _fed_back(problem):
         return (
-            "The input follows from the output: a controller closes the loop. Record its reference as the input, or "
-            "with a test signal in the reference"
+            "The input follows from the output, so a controller closes the loop. Use its reference as the input, or "
+            "add a test signal to the reference"
         )
     return CHECK
 

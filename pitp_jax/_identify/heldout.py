@@ -25,7 +25,7 @@ class HeldOut:
     """Residual of every record by fits without its block (over the output's rms; 0 where not scored).
 
     Attributes:
-        score: rms of it over the standard deviation of the output, both about the block's mean.
+        score: rms of the error over the standard deviation of the output, both about the block's mean.
         error, scored: per record, shape (T_r,).
     """
 

@@ -19,6 +19,7 @@ from threadpoolctl import threadpool_limits
 
 from .._effects import effect
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.domain import Domain
 from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
@@ -48,8 +49,8 @@ _BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choic
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
 _NONE = (
-    "no order from 1 to 6 can be identified from these records: record a sweep through the resonance, "
-    "or check that the voltage and displacement columns belong together"
+    "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
+    "that the input and output columns belong together"
 )
 _HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
@@ -59,15 +60,15 @@ class Identification(Shown):
     """The model of the chosen order, all orders compared, and the initial state of every record.
 
     Attributes:
-        model: its `output` is the zero and the direction of most records.
-        chosen, orders: the order taken, and the best candidate of all that were compared.
-        beginnings: per record how it begins, and its sensor's zero and direction with the zero's standard error.
-        response: what the records show without a model.
-        out_of_fold: what fits that did not see them leave of these records, by band; in the model's origin too.
-        residuals: whether what is left is white, and whether the drive still shows in it.
-        remarks: what the records leave open, a sentence each.
+        model: its `output` has the offset and direction of most records.
+        chosen, orders: the chosen order, and the best candidate of every compared order.
+        beginnings: per record its initial state, and its sensor's direction and offset with standard error.
+        response: the measured frequency response.
+        out_of_fold: errors of these records in fits without them, by band; also in the model's origin.
+        residuals: whether the residual is white and uncorrelated with the input.
+        remarks: open questions after these records, one sentence each.
         explains: whether any order explains a tenth of the output's rms on held-out blocks.
-        warning: a sentence where the model explains nothing or little, or the input follows from the output.
+        warning: a sentence if the model explains little, or the input follows from the output.
     """
 
     model: Fitted
@@ -104,7 +105,7 @@ class Identification(Shown):
 
             x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
 
-        Without the delay, which is no finite number of states (`chosen.delay`), and without the sensor's zero.
+        It excludes the delay, which has no finite number of states (`chosen.delay`), and the sensor offset.
         """
         c = self.chosen
         a = np.eye(c.order, k=1)
@@ -114,7 +115,7 @@ class Identification(Shown):
         return StateSpace(a, b, out, np.zeros((1, 1)))
 
     def to_control(self):
-        """Return the same as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
+        """Return the model as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
 
         Raises:
             BadInput: python-control is not installed.
@@ -142,21 +143,21 @@ def identify(
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
-        order: 1 to 6, or "auto": the fewest poles and delays that leave, on blocks left out, within 3 % of the least.
+        order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
         input_map: "square" (F = u^2) or "linear" (F = u).
-        hold: "foh", "zoh", "bandlimited", or None for the one that leaves least error: foh or zoh, or bandlimited where
-            it wins by 0.3 %.
-        learn: ("delay",) to keep a pure delay between drive and motion in any case; the model carries it as an effect.
-            One shorter than a twentieth of a sample is none.
-        leave_out: ("delay",) to do without; else a delay stays where it pays on blocks left out.
+        hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
+            is better by 0.3 %.
+        learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
+            Delays below a twentieth of a sample are ignored.
+        leave_out: ("delay",) to fit none; by default a delay stays if it improves the held-out error.
         progress: called with one line per finished order.
 
     Returns:
-        the model (a `Fitted`), every order compared, and how every record begins.
+        the model (a `Fitted`), every compared order, and the initial state of every record.
 
     Raises:
         BadInput: unknown order or input map, no variation in voltage or displacement.
-        ComputationFailed: the asked order cannot be identified from these records.
+        ComputationFailed: the requested order cannot be identified from these records.
 
     Examples:
         >>> found = pitp.identify(records, order=2)
@@ -198,22 +199,22 @@ def _check_options(
 ) -> None:
     """Refuse options of `identify` that do not exist or exclude each other."""
     if input_map not in INPUT_MAPS:
-        raise BadInput(f"unknown input map {input_map!r}: use one of {', '.join(INPUT_MAPS)}")
+        raise BadInput(f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}")
     if order != "auto" and order not in ORDERS:
-        raise BadInput(f"order {order!r} is not supported: use 1 to 6, or auto")
+        raise BadInput(f"order {order!r} is not supported; use 1 to 6, or auto")
     if hold is not None and hold not in (*_HOLDS, "bandlimited"):
-        raise BadInput(f"unknown hold {hold!r}: use one of {', '.join(_HOLDS)}, bandlimited, or None")
+        raise BadInput(f"unknown hold {hold!r}; use one of {', '.join(_HOLDS)}, bandlimited, or None")
     if unknown := sorted({*learn, *leave_out} - {"delay"}):
-        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification: use delay")
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification; use delay")
     if "delay" in learn and "delay" in leave_out:
-        raise BadInput("a delay cannot be both learned and left out: choose one")
+        raise BadInput("a delay cannot be both learned and left out; choose one")
 
 
 def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """List the candidates of the orders, holds and delays that were asked for, in ascending order.
+    """List the candidates of the requested orders, holds and delays, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.
@@ -225,7 +226,9 @@ def _candidates(
     }
     candidates = search(small, response, roots, **asked, progress=progress)
     if not candidates:
-        raise ComputationFailed("no order could be simulated on these records: check units and sampling of the columns")
+        raise ComputationFailed(
+            "no order could be simulated on these recordings; check the units and the sampling of the columns"
+        )
     if order != "auto" and response.rich and not any(c.known for c in candidates):
         # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
         candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
@@ -252,7 +255,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 def _determined(
     candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
 ) -> tuple[Candidate, OrderFit]:
-    """Return the best candidate whose poles all samples determine, and its description; otherwise the last tried."""
+    """Return the best candidate with known poles, refitted on all samples, and its description; or the last one."""
     while True:
         chosen = choose(candidates)
         # a delay or block means hide which hold it is
@@ -285,8 +288,8 @@ def _coloured(
 ) -> list[Beginning]:
     """Return initial states in which offsets measured at rest have the standard error that slow noise causes.
 
-    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth misfit does not have this
-    effect: at 30 samples a period the fifth difference leaves 2e-5 of it, 5e-3 of its third harmonic.
+    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
+    effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
     """
     apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
     found = []
@@ -360,4 +363,4 @@ def _to_model(
     )
     if chosen.delay > 0:
         model = replace(model, effects=(effect("delay", time=chosen.delay),))
-    return Fitted(model, origin)
+    return Fitted(model, with_excited(origin, records))

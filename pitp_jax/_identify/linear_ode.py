@@ -140,7 +140,7 @@ def respond(
         step: duration of one sample in the unit of time of the poles.
         square: whether the force is the square of the voltage.
         hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
-        settled: from the equilibrium of the first sample, not from rest.
+        settled: start from the equilibrium of the first sample, not from rest.
         late: delay in samples; exact between them.
     """
     if hold == "bandlimited":
@@ -227,7 +227,7 @@ def _finer(drive: np.ndarray) -> np.ndarray:
 
 
 def _split(late: float, samples: int) -> tuple[int, float]:
-    """Return a delay as whole samples minus a part of a sample."""
+    """Return a delay as whole samples minus a fraction of a sample."""
     # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
     whole = min(int(np.ceil(late)), samples - 1)
     return whole, max(whole - late, 0.0)
@@ -255,7 +255,7 @@ def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[
 
 
 def _weights(z: complex, part: float = 1.0) -> np.ndarray:
-    """Return f_1, f_2, f_3 for a part of a sample, and their derivatives by z, shape (2, 3); real if z is real."""
+    """Return f_1, f_2, f_3 for a fraction of a sample, and their derivatives by z, shape (2, 3)."""
     s = part
     one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
     both = np.array([[one, two, 2 * three - two],
@@ -264,7 +264,7 @@ def _weights(z: complex, part: float = 1.0) -> np.ndarray:
 
 
 def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
-    """Return a mode (or its slope if `slope` is 1) a part of a sample later, without its last `whole` samples."""
+    """Return a mode (`slope` 1: its derivative) a fraction of a sample later, without its last `whole` samples."""
     kept = len(mode) - whole
     if not part:
         return mode[:kept]

@@ -33,24 +33,24 @@ class OrderFit(Shown):
 
     Attributes:
         order: n.
-        hold: how the voltage was taken between samples.
+        hold: the voltage between samples.
         coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
-            robust to correlated residuals, the error of an offset taken from rest included.
+            robust to correlated residuals, including the error of an offset estimated at rest.
         correlation: of those errors, shape (n + 1, n + 1).
         mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
-        heldout: rms error on blocks left out, % of the output's standard deviation there (`heldout`).
+        heldout: rms error on held-out blocks, % of the output's standard deviation there (`heldout`).
         natural_hz, damping: of every real pole and pole pair, ascending in frequency.
         natural_stderr: of the natural frequencies, Hz.
-        offset, polarity: the sensor's zero (m) and direction (+1 or -1).
+        offset, polarity: sensor offset (m) and direction (+1 or -1).
         converged: the least squares met its tolerance.
-        poles_known: converged, and every pole is known: its logarithm to better than +-3 (a strong nonlinearity
-            inflates the errors of a perfectly good linear fit). The pole may be open that makes it `static`, or the
-            one by which it `integrates`; none stands at the fastest that is sought.
-        identifiable: its poles are known, and every coefficient is larger than its standard error, but for the one
-            that a `static` plant or one that `integrates` does not show.
-        static: order 1, and its pole lies beyond what the samples show.
+        poles_known: converged, and the logarithm of every pole is known to +-3 (a strong nonlinearity inflates the
+            errors of a good linear fit). The pole that makes it `static`, or by which it `integrates`, may be unknown.
+            No pole lies at the upper bound.
+        identifiable: its poles are known, and every coefficient is larger than its standard error, except the one that
+            a `static` or integrating plant does not show.
+        static: order 1, with a pole too fast for the sampling rate.
         integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
-        delay, delay_stderr: of the drive in s, where one was fitted.
+        delay, delay_stderr: of the input in s, if one was fitted.
     """
 
     order: int
@@ -76,7 +76,7 @@ class OrderFit(Shown):
 
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
-    """Return the physical coefficients, their standard errors, and the figures that orders are compared by."""
+    """Return the physical coefficients, their standard errors, and the figures used to compare orders."""
     structure, params = candidate.structure, candidate.params
     n, poles = structure.order, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)

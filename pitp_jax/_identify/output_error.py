@@ -50,10 +50,10 @@ class Problem:
 
     Attributes:
         drive, output, weight: per record, shape (T_r,); output over `scale`, 0 where not measured.
-        beginnings: per record; `zeros`: which fitted zero it has, -1 where its own was taken off.
+        beginnings: per record; `zeros`: index of its fitted offset, -1 if its own was subtracted.
         square, dt, scale: input map, sampling interval (s), the output's rms.
-        omega: rad/s, top of the drive's band.
-        fine: sampling interval that the drive was held over; shorter than `dt` where samples were averaged.
+        omega: rad/s, top of the input's band.
+        fine: sampling interval over which the input was held; shorter than `dt` if samples were averaged.
     """
 
     drive: tuple[np.ndarray, ...]
@@ -100,7 +100,7 @@ class Solved:
     """Linear parameters at given poles, and the residual.
 
     Attributes:
-        gains: g, then the fitted zeros; own: per record its c.
+        gains: g, then the fitted offsets; own: per record its c.
         residuals: weighted, of every record; penalty: of its ridge.
     """
 
@@ -118,9 +118,9 @@ class Solved:
 def check_motion(records: Sequence[Record]) -> None:
     """Refuse records in which nothing changes."""
     if np.ptp(np.concatenate([r.voltage for r in records])) == 0:
-        raise BadInput("the voltage never changes in these records: record an excitation such as a sweep")
+        raise BadInput("the input never changes in these recordings; record an excitation such as a sweep")
     if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
-        raise BadInput("the displacement never changes in these records: check the sensor and its column")
+        raise BadInput("the output never changes in these recordings; check the sensor and its column")
 
 
 def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning]) -> Problem:
@@ -151,7 +151,7 @@ def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -
 
 
 def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same response and its derivatives with respect to the parameters, shape (parameters, T)."""
+    """Return the response of record k and its derivatives by the parameters, shape (parameters, T)."""
     how = _how(params, structure, problem, k)
     run, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
     return run, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
@@ -227,9 +227,9 @@ def _linear(
 def jacobians(
     params: np.ndarray, structure: Structure, problem: Problem
 ) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
-    """Return the solution, and per record the weighted slopes of its run by (gain, offsets, parameters).
+    """Return the solution, and each record's weighted derivatives by (gain, offsets, parameters).
 
-    A record's own columns are projected out; the ridge's slopes stand at the end.
+    A record's own columns are projected out; the ridge's derivatives come last.
     """
     runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
     solved, projected = solve(params, structure, problem, [run for run, _ in runs]), []
@@ -299,7 +299,7 @@ def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
 
 
 def alone(problem: Problem, k: int) -> Problem:
-    """Return the problem of record k alone, in the same units."""
+    """Return the problem reduced to record k, in the same units."""
     return replace(
         problem,
         drive=problem.drive[k : k + 1],

@@ -27,12 +27,12 @@ _SURE, _SEEN = 10.0, 0.01  # BIC that creep must gain; fraction of the output's 
 
 def refusal(fit: OrderFit, problem: Problem) -> str:
     """Return why the requested order was refused, and what to do."""
-    why = "its poles are not determined by the data" if fit.converged else "the least squares ran away"
+    why = "its poles are not determined by the data" if fit.converged else "the fit diverged"
     if _at_fastest(fit, problem):
         hz = FASTEST / problem.fine / (2 * np.pi)
-        why = f"a pole stands at the fastest that these samples could show, {hz:.3g} Hz"
-    where = f"order {fit.order} cannot be identified from these records ({why})"
-    return f"{where}; a lower one may be; record a sweep or use --order auto"
+        why = f"a pole is at the highest frequency that this sampling can show, {hz:.3g} Hz"
+    where = f"order {fit.order} cannot be identified from these recordings ({why})"
+    return f"{where}; record a sweep, or use --order auto to try lower orders"
 
 
 def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) -> list[str]:
@@ -41,11 +41,14 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
         return [line]
     said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
     if fit.static:
-        said.append(f"static within the band: no pole below {1.5 / (2 * np.pi * problem.fine):.3g} Hz is seen")
+        said.append(
+            f"The plant is static within the recorded band: no pole below "
+            f"{1.5 / (2 * np.pi * problem.fine):.3g} Hz is visible."
+        )
     if fit.integrates:
         said.append(
-            f"the output integrates the drive (a plant without a spring, a0 not known): free runs drift; an input "
-            f"off by 1 unit moves the output by {1 / fit.coefficients[1]:.3g} base units more every second"
+            f"The output integrates the input (a plant without a spring; a0 is not known), so free runs drift: an "
+            f"input error of 1 unit moves the output by {1 / fit.coefficients[1]:.3g} base units per second."
         )
     elif slowest * problem.seconds < 1 and fit.order > 1:
         said.append(
@@ -53,11 +56,11 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
             "to measure it."
         )
     if not any(b.begins == "rest" or _near_zero(d) for b, d in zip(problem.beginnings, problem.drive, strict=True)):
-        said.append("No recording starts near zero input, so the output there is not known: 0 is a guess.")
+        said.append("No recording starts near zero input, so the output there is not known and 0 is assumed.")
     if fit.delay > _BOUND * problem.seconds / 4:
         said.append(
-            f"the delay stands at the longest that is sought, {problem.seconds / 4:.3g} s, a quarter of the longest "
-            "record: do drive and output have one clock?"
+            f"The delay is at its upper limit of {problem.seconds / 4:.3g} s, a quarter of the longest recording. "
+            "Check that input and output have the same clock."
         )
     return said + _weak(fit) + _creep(chosen, problem)
 
@@ -79,9 +82,9 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
     pole, rms = better
     where = f"{pole.real:.3g} 1/s" if not pole.imag else f"{pole.real:.3g} +- {pole.imag:.3g}j 1/s"
     return (
-        f"unstable: a pole at +{where} leaves {100 * rms:.2g} % of these records' motion, the best stable model "
-        f"{100 * error:.2g} %: no free run of this plant stays near it. Record the closed loop instead, its reference "
-        "as the input and the same output, and identify that"
+        f"The plant is unstable: with a pole at +{where}, {100 * rms:.2g} % of the motion remains unexplained, with "
+        f"the best stable model {100 * error:.2g} %, so its free runs diverge. Identify the closed loop instead, with "
+        "its reference as the input and the same output."
     )
 
 
@@ -92,7 +95,7 @@ def _weak(fit: OrderFit) -> list[str]:
     # an unknown coefficient of these two kinds has a remark of its own
     without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
     names = ", ".join(f"a{i}" for i in without)
-    said = [f"Without influence on these recordings, and therefore not known: {names}."] if without else []
+    said = [f"Not known, because without influence on these recordings: {names}."] if without else []
     rest = [i for i in range(fit.order + 1) if i not in (*without, *hidden)]
     spread = (fit.correlation * np.outer(relative, relative))[np.ix_(rest, rest)]
     values, vectors = np.linalg.eigh(spread)

@@ -31,7 +31,7 @@ class ResidualTest:
     Attributes:
         lag: in s, shape (K,), from before zero to after it.
         own, drive: correlation of the residual with itself and with the force, shape (K,).
-        own_band, drive_band: half widths within which all lags stay in 95 % of cases where there is nothing to find.
+        own_band, drive_band: half widths that contain all lags in 95 % of cases without correlation.
     """
 
     lag: Float[np.ndarray, " lags"]

@@ -63,7 +63,7 @@ def guesses(order: int, problem: Problem) -> list[np.ndarray]:
 
 
 def one_more(logs: np.ndarray) -> list[np.ndarray]:
-    """Return the poles of the next higher order: the known ones and a slow or a fast one beside them (rad/s)."""
+    """Return sets of poles (rad/s) of the next higher order: the known poles plus a slow or a fast one."""
     known = poles(logs)
     size = np.abs(known)
     return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]

@@ -24,7 +24,7 @@ _FRACTION = 0.5  # of the stable model's residual; free end values alone reduce 
 def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | None:
     """Return the unstable pole (rad/s) of a model that halves the residual `stable`, and its residual; otherwise None.
 
-    `stable`: rms that the stable model leaves, of the output's.
+    `stable`: residual of the stable model, as a fraction of the output's rms.
     """
     best = None
     for order in _ORDERS:
@@ -40,7 +40,7 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
 
 
 def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
-    """Yield starts: logarithms of the sizes of unstable, then stable poles, ascending; in pairs the real part first."""
+    """Yield starting values: logarithms of the unstable pole (or pair: real, imaginary part), then the stable ones."""
     grid = np.log(np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID))
     others = [np.sort(grid)[k : k + order - 1 - pair] for k in range(_GRID - (order - 1 - pair) + 1)]
     for size in grid:

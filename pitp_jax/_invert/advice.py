@@ -47,22 +47,25 @@ def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path, unit
     if target.dt > 1.01 * model.dt:
         warnings += (
             f"the target is sampled every {target.dt:g} s, coarser than the model's {model.dt:g} s: "
-            "resample it finer to keep its shape between samples",
+            "resample it to a higher rate to keep its shape between samples",
         )
     rough = roughness(wanted, target.dt, model)
     if rough > 0:
         cost = rounding(wanted, target.dt, model)
-        how = "" if cost is None else f"; a Gaussian of {1e3 * cost[0]:.3g} ms does, and costs {cost[1]:.2g} % of range"
+        how = "" if cost is None else f" (a Gaussian of {1e3 * cost[0]:.3g} ms changes it by {cost[1]:.2g} % of range)"
         warnings += (
             f"{100 * rough:.2g} % of the target is not smooth enough (derivative {model.order - 1} jumps): "
             f"round the corners or filter it{how}",
         )
     if not path.slew_kept:
-        warnings += ("the target's first state is out of reach within the slew limit, its start is cut: begin at rest",)
+        warnings += (
+            "the slew limit does not allow the target's initial state, so its start is cut off; let the "
+            "target start at rest",
+        )
     if not path.reached:
         warnings += (
-            f"no {units.input_word} within the limits swings the actuator into the target's first state: "
-            f"it starts with an error; let it start at rest, or raise {units.max_input}",
+            f"no {units.input_word} within the limits moves the actuator into the target's initial state, so the "
+            f"motion starts with an error; let the target start at rest, or raise {units.max_input}",
         )
     return warnings
 
@@ -85,23 +88,23 @@ def on_smoothing(
     if roughness(wanted, dt, model) == 0 or not percent > 0:
         return ()
     return (
-        f"its corners and its noise are played smoothed: the model's rollout is {units.output.text(missed, 2)} (rms) "
-        f"off the target, {percent:.2g} % of its range",
+        f"the target's corners and noise are smoothed: the model's motion differs from the target by "
+        f"{units.output.text(missed, 2)} (rms), {percent:.2g} % of its range",
     )
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """Return a line each if more than a hundredth of the target cannot be played as wanted."""
+    """Return warnings if over 1 % of the target needs an impossible force, or is clipped by a limit."""
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (
-            f"{100 * infeasible:.0f} % of the target asks for a force that no {limits.units.input_word} makes: "
-            "lower its frequency or its amplitude, or shift its mean in the direction in which the actuator extends",
+            f"{100 * infeasible:.0f} % of the target needs a force that no {limits.units.input_word} produces; lower "
+            "its frequency or amplitude, or shift its mean in the direction in which the actuator extends",
         )
     if saturated > _WORTH_A_LINE:
         lines += (
-            f"{100 * saturated:.0f} % of the target's {limits.units.input_word} is cut, by {limits.range_text} or "
-            f"{limits.units.input.rate_text(limits.slew, 3)}: ask for less, or raise the limit if the rig allows it",
+            f"{100 * saturated:.0f} % of the target's {limits.units.input_word} is clipped by {limits.range_text} or "
+            f"{limits.slew_text}; ask for a smaller motion, or raise the limit if the rig allows it",
         )
     return lines
 
@@ -114,11 +117,12 @@ def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, 
     most, beyond = shown.text(limits.farthest), float((np.abs(wanted) > limits.farthest).mean())
     if beyond > 0:
         lines += (
-            f"{100 * beyond:.2g} % of the target lies beyond {limits.units.max_output} {most}: the plan stays within",
+            f"{100 * beyond:.2g} % of the target lies beyond {limits.units.max_output} {most}; the plan stays within "
+            "this limit",
         )
     if reached > limits.farthest:
         lines += (
-            f"the model's rollout reaches {shown.text(reached)} in spite of {limits.units.max_output} {most}: "
-            "ask for a slower or smaller motion",
+            f"the model's motion reaches {shown.text(reached)}, beyond {limits.units.max_output} {most}; ask for a "
+            "slower or smaller motion",
         )
     return lines

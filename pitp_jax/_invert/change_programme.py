@@ -33,13 +33,13 @@ class Wish:
 
     Attributes:
         reading: in model coordinates, m, shape (T,).
-        counted: where that is asked for, shape (T,).
+        counted: where it is wanted, shape (T,).
         dt: sampling interval, s.
         low, high: V, shape (T,).
         slew: V/s.
         budget: total variation, V.
         start: scaled state at the first sample.
-        farthest: largest reading either way, m.
+        farthest: largest |reading|, m.
     """
 
     reading: np.ndarray
@@ -121,7 +121,7 @@ def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tu
 
 
 def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
-    """Build the programme; a stage without a past comes first, whose control is the first slope."""
+    """Build the programme, with an initial stage whose control is the first slope."""
     v = now.voltage / wish.unit
     counted = cut(wish.counted[late:].astype(float), 0.0)
     C = reading * counted[..., None] / size

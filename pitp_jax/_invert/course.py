@@ -43,7 +43,7 @@ class Played:
 
 @dataclass(frozen=True)
 class Planned(Played):
-    """The solution of eq. 13 cut at the limits: features, and where the force is infeasible or the voltage cut."""
+    """The solution of eq. 13 clipped at the limits: features, and where force or voltage were infeasible."""
 
     features: np.ndarray
     infeasible: np.ndarray
@@ -84,7 +84,7 @@ class Course:
             return np.asarray(ports.readings(model, states)) * model.scales.state[0]
 
     def plan(self, reference: np.ndarray) -> Planned:
-        """Solve eq. 13 along a reference, cut it at the limits, and add the ramp down."""
+        """Solve eq. 13 along a reference, clip it at the limits, and add the ramp down."""
         model, motion = self.model, reference
         if model.effects:  # the target is a sensor reading, and the equation needs the motion itself
             scale = model.scales.state[0]
@@ -97,7 +97,7 @@ class Course:
         return Planned(full, reading, np.asarray(features), np.asarray(unreachable(model, force, self.dt)), saturated)
 
     def best(self, cut: Planned, shots: int) -> Played:
-        """Shoot as long as it helps; if a limit is active, take the nearest motion, starting from the best shot."""
+        """Repeat shooting while it helps; if a limit is active, take the nearest motion, started from the best shot."""
         wanted = reference = self.path.displacement
         most = _TRAVEL * travel(cut.voltage)
         best = now = cut

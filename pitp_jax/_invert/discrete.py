@@ -49,12 +49,12 @@ def discrete_inverse(
         model: as rolled out.
         states: shape (T, n + K).
         dt: sampling interval, s.
-        first: u_0 in V where it is known (foh of order 1 without memory needs it: its only row is blind to the
+        first: u_0 in V if known (foh of order 1 without memory needs it, because its only row does not fix the
             alternating mode).
         sweeps: Gauss-Newton iterations (foh).
 
     Returns:
-        Film voltage, which is the drive's where the model has no lag (else see `drive.undo`).
+        Film voltage, equal to the input if the model has no lag (otherwise see `drive.undo`).
         zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
@@ -69,11 +69,13 @@ def discrete_inverse(
     """
     model = model_of(model)
     if model.effects:
-        raise ValueError("discrete_inverse knows no effects: use feedforward")
+        raise ValueError("discrete_inverse does not support effects; use feedforward")
     if model.hold == "bandlimited":
-        raise ValueError("discrete_inverse needs hold foh or zoh")
+        raise ValueError("discrete_inverse needs a model with hold foh or zoh")
     if model.substeps != 1:
-        raise ValueError("discrete_inverse needs substeps = 1: decode on the finer grid and invert there")
+        raise ValueError(
+            "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps"
+        )
     free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
     n = model.order
     moved = jnp.diff(states, axis=0)  # exact for neighbouring states, so no rounding is added to the decoder's own
@@ -122,7 +124,7 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
 def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
     """Solve for the Gauss-Newton step of all voltages, from (residual, two derivatives, weight) of every step.
 
-    `anchor`, `pull`: weight and weighted error of the first voltage, where it is known.
+    `anchor`, `pull`: weight and weighted error of the first voltage, if it is known.
     """
     count, dtype = len(equations[0][0]), equations[0][0].dtype
     # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays unchanged
@@ -143,11 +145,11 @@ def along_motion(
 
         s_{t+1} = step(s_t, V_t, V_{t+1})       rows x^(n-1) and x^(n-2), each over what a force moves it by
 
-    For any model: steps are differentiated as they are, with substeps and effects.
+    It works for any model: steps are differentiated with substeps and effects.
 
     Args:
-        model: what acts on its voltage before the film is the caller's.
-        force: scaled, by eq. 13: where the iteration begins.
+        model: the caller applies the effects between voltage and film.
+        force: scaled, by eq. 13: the start of the iteration.
         features: S and memories along the motion, scaled.
         dt: sampling interval, s.
         sweeps: Gauss-Newton iterations.
@@ -156,7 +158,7 @@ def along_motion(
         BadInput: a band-limited voltage, of which a sample acts on sixteen steps.
     """
     if model.hold == "bandlimited":
-        raise BadInput("kind 'discrete' needs hold 'foh' or 'zoh': give kind='closed_form'")
+        raise BadInput("kind 'discrete' needs a model with hold 'foh' or 'zoh'; give kind='closed_form'")
     model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
     states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
     n, dtype = model.order, states.dtype

@@ -49,7 +49,7 @@ def force_and_voltage(
 def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
     """Compute scaled force, voltage before limits (V) and features along a path from rest; vmap for a batch.
 
-    `age`: of the session at its first sample, s, which effects of the slow time read.
+    `age`: of the session at its first sample, s, for effects that depend on it.
     """
     start = model.memory.initial(jnp.zeros((), equation.dtype))
     if not model.effects:

@@ -14,7 +14,8 @@ import numpy as np
 
 from .._errors import BadInput, refuse_traced
 from .._model.coordinate import Zero, to_model
-from .._model.fitted import Fitted, model_of
+from .._model.coverage import target_beyond, target_words
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.units import units_of
 from .._record.reading import Target
@@ -40,17 +41,17 @@ class Feedforward(Shown):
     Attributes:
         time: s, shape (M,): the target's clock, with the ramps before and after it.
         voltage: V, within the limits.
-        infeasible: True where the target asks for a force that no voltage makes (F < 0, by eq. 13).
-        saturated: True where it asks for more than a voltage or slew limit allows.
+        infeasible: True where the target needs a force that no voltage produces (F < 0, by eq. 13).
+        saturated: True where it exceeds a voltage or slew limit.
         target: True on the target's own samples.
-        wanted: the target there, as it was given; nan before and after.
-        outside_training_share: fraction of target samples outside the trained region.
-        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of
-            the inversion, not a prediction of tracking. nan for a target that holds one value: `warnings` says by how
-            much that is missed.
-        equation_e_rms_percent: the same for eq. 13 cut at the limits, before shooting.
+        wanted: the given target there; nan before and after.
+        outside_training_share: the larger of two fractions: of the target's samples, outside the trained region; of
+            its energy, at frequencies and amplitudes that the model was not trained with.
+        self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the
+            inversion, not a prediction of tracking. nan for a constant target: `warnings` has its error.
+        equation_e_rms_percent: the same for eq. 13 clipped at the limits, before shooting.
         warnings: one line each.
-        limits: those that were in force, in words.
+        limits: the applied limits, in words.
     """
 
     time: np.ndarray
@@ -82,19 +83,19 @@ def feedforward(
 
     Args:
         model: identified or trained.
-        target: wanted displacement in base units; its clock is the session's, which a drift reads.
-        max_voltage: V; default the largest voltage of the training records. A higher one warns.
+        target: wanted displacement in base units; its clock is the session's, on which a drift depends.
+        max_voltage: V; default the largest voltage of the training records. A higher value causes a warning.
         max_slew: V/s; default the largest slew of the training records.
-        max_displacement: m from the displacement at 0 V, either way, for the membrane's sake; default none.
+        max_displacement: m from the displacement at 0 V in both directions, to protect the membrane; default none.
         zero: where the target is 0: "rest", at 0 V, growing as the actuator extends (the coordinate of every model;
             behind a linear input it has the sensor's sign); "sensor", the sensor's own readings; or what the target
             is at 0 V, in its base unit.
-        start_input: V at the first and the last sample, that which holds a machine where it stands.
-        shots: shooting iterations on the rollout after eq. 13; 0 plays eq. 13 alone, cut at the limits.
-        resample: take a target that is coarser than the model along a cubic spline, on the model's step.
+        start_input: V at the first and the last sample, which holds the actuator in place.
+        shots: shooting iterations on the rollout after eq. 13; 0 uses eq. 13 alone, clipped at the limits.
+        resample: interpolate a target coarser than the model's step by a cubic spline.
 
     Returns:
-        the voltage on its own clock, with what was cut and how well the model itself follows it.
+        the voltage on its own clock, the clipped samples, and the model's own tracking error.
 
     Raises:
         BadInput: a limit that is not positive, a start beyond it, a target of fewer samples than the model's order
@@ -106,17 +107,18 @@ def feedforward(
         True
     """
     if not isinstance(target, Target | Record):
-        raise BadInput(f"a {type(target).__name__} is not a target: give pitp.Target(time, displacement)")
+        raise BadInput(f"a {type(target).__name__} is not a target; give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
-    model, units = model_of(model), units_of(model)
+    fitted, units = fitted_of(model), units_of(model)
+    model = fitted.model
     limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
     given = target
     if resample:
         target = at_rate_of_model(target, model.dt)
     if target is not given:
         warnings += (
-            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s: joined by a "
-            "cubic spline",
+            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s, and was "
+            "interpolated by a cubic spline",
         )
     model = at_rate(model, target.dt)
     wanted = np.asarray(to_model(model, target.displacement, zero))
@@ -128,7 +130,10 @@ def feedforward(
     age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
     start = rest_state(model, age) if start is None else start
     if any(e.name == "stiffness_drift" for e in model.effects):
-        warnings += (f"the actuator drifts: this is for {age:.4g} s into its session, as the target's clock says",)
+        warnings += (
+            f"the stiffness drifts, so this voltage is for {age:.4g} s after the start of the session (the "
+            "target's clock)",
+        )
     course = Course(model, path, limits, target.dt, age, start)
     cut = course.plan(path.displacement)
     if cut.infeasible[first:last].mean() > _MOST:
@@ -137,9 +142,11 @@ def feedforward(
     outside = outside_fraction(model, cut.features[first:last])
     if outside > 0.01:
         warnings += (
-            f"{100 * outside:.0f} % of the target lies outside the region the model was trained in: "
-            f"{outside_words(model, cut.features[first:last], target.time)}; expect more error there",
+            f"{100 * outside:.0f} % of the target lies outside the trained region: "
+            f"{outside_words(model, cut.features[first:last], target.time)}; expect larger errors there",
         )
+    unseen = target_beyond(fitted, wanted, target.dt)
+    warnings += tuple(filter(None, [target_words(fitted, unseen)]))
     inside = np.zeros(len(best.voltage), bool)
     inside[first:last] = True
     ramp = np.zeros(len(inside) - last, bool)
@@ -150,8 +157,8 @@ def feedforward(
     error = course.error(best)
     if np.isnan(error):
         warnings += (
-            f"the target holds one value, eq. 15 has no range: "
-            f"the model's rollout is {units.output.text(course.missed(best), 2)} off it",
+            f"the target is constant, so there is no error in % of range; the model's motion differs from it by "
+            f"{units.output.text(course.missed(best), 2)}",
         )
     warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best), units)
     return Feedforward(
@@ -161,7 +168,7 @@ def feedforward(
         saturated=saturated,
         target=inside,
         wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=outside,
+        outside_training_share=max(outside, unseen.fraction),
         self_check_e_rms_percent=error,
         equation_e_rms_percent=course.error(cut),
         warnings=warnings,
@@ -170,7 +177,7 @@ def feedforward(
 
 
 def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: its sign or its zero is wrong.
+    """Refuse a target whose negative is reachable: its sign or its offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.
@@ -183,7 +190,7 @@ def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, frac
             other = "give --zero sensor if it holds sensor readings"
         raise BadInput(
             f"{100 * fraction:.0f} % of the target lies on the side that this actuator cannot reach, but its negative "
-            f"can be reached: change the sign of the target, or {other}"
+            f"can be reached; change the sign of the target, or {other}"
         )
 
 

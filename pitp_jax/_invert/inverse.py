@@ -8,7 +8,6 @@ Each signal is one recording; the caller vmaps.
 
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
@@ -16,7 +15,7 @@ from .._errors import BadInput
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .._simulate import ports
 from .discrete import along_motion
 from .equation import invert_path, unreachable
@@ -34,7 +33,7 @@ def inverse(
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
     """Compute the voltage (V) with which the model follows a displacement (m) from rest; `jax.vmap` for more.
 
-    Limits, a way up to the target and a check stand in `feedforward`.
+    `feedforward` adds limits, a lead-in and a check.
 
     Args:
         model: any: identified, trained, with effects.
@@ -45,8 +44,8 @@ def inverse(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage makes the force: it is clipped
-        at F = 0 there.
+        voltage, shape (time,), V; and a mask, shape (time,), True where no voltage produces the force: it is clipped at
+            F = 0 there.
 
     Raises:
         BadInput: another kind, fewer samples than the order needs, or "discrete" for a band-limited voltage.
@@ -60,7 +59,8 @@ def inverse(
     if kind not in ("closed_form", "discrete"):
         raise BadInput(f"kind {kind!r} is not 'closed_form' or 'discrete'")
     model = model_of(model)
-    return _inverse(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, kind, zero)
+    displacement = signal(displacement, model.coefficients.dtype, "displacement")
+    return _inverse(model, displacement, model.dt, kind, zero)
 
 
 @jit

@@ -19,7 +19,7 @@ _VOLTS = Units()
 class Limits:
     """Input range, slew, displacement from the position at zero input, and the input at both ends.
 
-    All in base units (V, V/s, m); `units` is for messages.
+    All in base units (V, V/s, m); `units` is for messages. `assumed`: the limits that come from the model's recordings.
     """
 
     low: float
@@ -28,10 +28,11 @@ class Limits:
     farthest: float = np.inf
     ends: float = 0.0
     units: Units = Units()
+    assumed: tuple[str, ...] = ()
 
     @property
     def unnoticed(self) -> float:
-        """Return the voltage by which the first sample may differ, V: a hundredth of the range."""
+        """Return the tolerated difference of the first sample, V: a hundredth of the range."""
         return 0.01 * (self.high - self.low)
 
     @property
@@ -41,12 +42,20 @@ class Limits:
         return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
 
     @property
+    def slew_text(self) -> str:
+        """Return the slew limit in words, with its origin where the user did not give it."""
+        origin = f" (the largest of the model's recordings; {self.units.max_rate} sets another)"
+        return self.units.input.rate_text(self.slew, 3) + (origin if "slew" in self.assumed else "")
+
+    @property
     def text(self) -> str:
-        """Return all limits in force, in words."""
+        """Return all limits in force, in words, with the origin of those that the user did not give."""
         parts = [self.units.input.range_text(self.low, self.high), f"at most {self.units.input.rate_text(self.slew)}"]
         if np.isfinite(self.farthest):
             parts.append(f"{self.units.output_word} within {self.units.limit.text(self.farthest)}")
-        return ", ".join(parts)
+        named = [{"range": self.units.input_word, "slew": "rate"}[part] for part in self.assumed]
+        origin = f" ({' and '.join(named)} of the model's recordings)" if named else ""
+        return ", ".join(parts) + origin
 
 
 def limits_of(
@@ -60,44 +69,49 @@ def limits_of(
     """Choose the given limits, or those of the training records; return them and warnings.
 
     Raises:
-        BadInput: a limit that is not positive, an endless voltage, or a start beyond it.
+        BadInput: a limit that is not positive, an infinite voltage, or a start beyond it.
     """
     low, high = model.domain.voltage_range
     warnings: tuple[str, ...] = ()
     if model.input_map.one_sided:  # squared: negative voltages of the records count too
         if high <= 0 > low:
-            warnings += ("the recordings have negative inputs alone, this one is positive: its negative does the same",)
+            warnings += (
+                "the recordings have only negative inputs, the planned input is positive; for a squared "
+                "input, its negative has the same effect",
+            )
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.domain.slew
     given = ((units.max_input, max_voltage), (units.max_rate, max_slew), (units.max_output, max_displacement))
     for name, value in given:
         if value is not None and not value > 0:
-            raise BadInput(f"{name} must be positive, got {value}")
+            raise BadInput(f"{name} must be positive, not {value}")
     if max_voltage == np.inf:
-        raise BadInput(f"{units.max_input} must be finite: give the amplifier's limit")
+        raise BadInput(f"{units.max_input} must be finite; give the amplifier's limit")
     if max_voltage is not None:
         bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
         high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)
         if max_voltage > 1.0001 * trained_high:
             warnings += (
-                f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, "
-                "the largest of the model's recordings",
+                f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, the "
+                "largest input in the model's recordings",
             )
     slew, farthest = trained_slew if max_slew is None else max_slew, max_displacement or np.inf
     low, high = min(low, 0.0), max(high, 0.0)
     if not low <= start_input <= high:
         raise BadInput(
-            f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}: "
-            f"raise {units.max_input}"
+            f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}; raise "
+            f"{units.max_input}"
         )
-    return Limits(low, high, slew, farthest, start_input, units), warnings
+    chosen = (("range", max_voltage, high), ("slew", max_slew, slew))
+    assumed = tuple(part for part, value, limit in chosen if value is None and np.isfinite(limit))
+    return Limits(low, high, slew, farthest, start_input, units, assumed), warnings
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
     """Clip to the voltage range, then to the slew rate, starting at the voltage of the ends.
 
     Returns:
-        The voltage kept, and True where it differs from the voltage asked for.
+        The limited voltage, and True where it differs from the requested one.
     """
     kept = np.clip(voltage, limits.low, limits.high)
     kept[0] = last = limits.ends

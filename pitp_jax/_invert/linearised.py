@@ -40,7 +40,7 @@ def linearise(
     """Compute the stages along a rollout.
 
     Args:
-        model: any; its delays are the caller's.
+        model: any; the caller applies its delays.
         states: of the rollout, scaled.
         film: the voltage behind the electrode at each sample and the next, V.
         dt: sampling interval, s.

@@ -96,7 +96,7 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[flo
     """Compute gain margin and maximum sensitivity, the worst of all operating points.
 
     Returns:
-        The gain margin and the maximum sensitivity; the sensitivity is infinite where a loop is unstable.
+        The gain margin and the maximum sensitivity; the sensitivity is infinite if a loop is unstable.
     """
     margin, sensitivity = np.inf, 1.0
     for plant in plants:

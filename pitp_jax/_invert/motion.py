@@ -13,7 +13,7 @@ from .._model.coordinate import Zero, sign, to_model
 from .._model.fitted import Fitted, model_of
 from .._model.memory import ElapsedTime
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .._numerics.path_derivative import path_derivatives
 from .._simulate import ports
 
@@ -55,7 +55,8 @@ def memory_along(
         (64, 0)
     """
     model = model_of(model)
-    return _memory_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, zero)
+    displacement = signal(displacement, model.coefficients.dtype, "displacement")
+    return _memory_along(model, displacement, model.dt, zero)
 
 
 @jit
@@ -73,7 +74,7 @@ def tokens_along(
     """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:
-        model: any; effects act beside the tokens.
+        model: any; effects are not part of the tokens.
         displacement: shape (time,), m, without missing values and without noise: it is differentiated.
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
@@ -86,7 +87,8 @@ def tokens_along(
         True
     """
     model = model_of(model)
-    return _tokens_along(model, jnp.asarray(displacement, model.coefficients.dtype), model.dt, zero)
+    displacement = signal(displacement, model.coefficients.dtype, "displacement")
+    return _tokens_along(model, displacement, model.dt, zero)
 
 
 @jit

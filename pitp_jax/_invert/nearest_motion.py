@@ -79,7 +79,7 @@ def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
 def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
     """Return rho: a steady oscillation of U/4 at the resonance costs 1e-4 of the first voltage's error.
 
-    At most a few hundredths of it for the second differences of the first voltage itself.
+    The second differences of the first voltage cost at most a few hundredths of the error.
     """
     swing = len(first) * (model.natural_frequency * wish.dt) ** 4 / 32
     bent = float((second_differences(first / wish.unit) ** 2).sum())

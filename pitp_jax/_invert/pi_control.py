@@ -53,13 +53,13 @@ def pi_trim(
         voltage: feedforward, V.
         target: wanted displacement, m.
         dt: sampling interval, s.
-        p, i: gains in V/m and V/(m s), with an input map those of its force; p = i = 0 plays the feedforward alone.
+        p, i: gains in V/m and V/(m s), with an input map those of its force; p = i = 0 uses the feedforward alone.
         limits: voltage range.
         max_slew: V/s; the voltage starts from its first feedforward.
-        input_map: a model's: P and I act on the force, so that the loop is as fast at every voltage. None: on the
+        input_map: a model's: P and I act on the force, so the loop is equally fast at every voltage. None: on the
             voltage, as in the paper.
         tracking: time constant T of the back-calculation, s; None: p / i, at least dt. Take the closed loop's.
-        direction: -1 where the sensor reads a pull as less (`model.output.polarity`).
+        direction: -1 if the sensor is reversed (`model.output.polarity`).
 
     Returns:
         Displacement (m) and the voltage at each sample (V), both of shape (T,).
@@ -111,7 +111,7 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     """Refuse gains whose loop is unstable about states that the feedforward alone reaches.
 
     Raises:
-        BadInput: with the factor that gains would have to be multiplied by.
+        BadInput: with the factor by which the gains would have to be multiplied.
     """
     (p, i), (h, (low, high), direction) = gains, loop
     if p == 0 and i == 0:
@@ -137,9 +137,12 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     known = [plant for plant in plants if plant is not None]
     margin, sensitivity = margins(known, p, i, dt)
     if len(known) < len(plants):
-        raise BadInput("no margin can be computed: the plant has no finite derivatives under this feedforward")
+        raise BadInput(
+            "the stability margin cannot be computed, because the plant has no finite derivatives under "
+            "this feedforward"
+        )
     if not jnp.isfinite(sensitivity):
         raise BadInput(
-            f"the loop with p = {p:.3g} and i = {i:.3g} is unstable on this plant (gain margin {margin:.3g}): "
-            "take smaller gains (`pi_gains` computes them from a model)"
+            f"the loop with p = {p:.3g} and i = {i:.3g} is unstable on this plant (gain margin {margin:.3g}); use "
+            "smaller gains (`pi_gains` computes them from a model)"
         )

@@ -29,11 +29,11 @@ def at_slower_rate(target: Target, rate: float | None) -> Target:
     seconds = float(target.time[-1] - target.time[0])
     count = int(seconds * rate * (1 + _SAME)) + 1
     if count > MOST:
-        raise BadInput(f"--rate {rate:g} Hz makes {count} samples; at most {MOST} are written: lower it")
+        raise BadInput(f"--rate {rate:g} Hz gives {count} samples, more than {MOST}; lower it")
     if rate > (1 - _SAME) / target.dt:
         return target
     if count <= _DEGREE or len(target.time) <= _DEGREE:
-        raise BadInput(f"--rate {rate:g} Hz leaves {count} samples of the target: raise it")
+        raise BadInput(f"--rate {rate:g} Hz gives only {count} samples of the target; raise it")
     time = target.time[0] + np.arange(count) / rate
     spline = make_interp_spline(target.time, target.displacement, k=_DEGREE)
     # rounding may put the last time after the target's end, where a spline of degree 5 diverges

@@ -37,10 +37,10 @@ class CompiledStep:
     """A compiled step.
 
     Attributes:
-        carry: what the step starts from at rest, shape (C,), float32.
-        inputs: how many numbers it takes per sample.
-        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. Where an input is not finite
-            the output is nan, and the carry stays as it was.
+        carry: state at rest, shape (C,), float32.
+        inputs: number of inputs per sample.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. If an input is not finite,
+            the output is nan and the carry does not change.
         exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
@@ -111,7 +111,7 @@ def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
     """
     model = _refused(model_of(model), dt)
     if model.hold == "bandlimited":
-        raise BadInput("a band-limited voltage is known between samples only later: no step in real time")
+        raise BadInput("a model with hold 'bandlimited' has no real-time step; identify with hold 'zoh' or 'foh'")
     model = at_rate(model, dt)
     fractions = stage_fractions(model)
 
@@ -130,7 +130,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
     """Restore the `run` of a `CompiledStep` from its bytes, compiled for this machine.
 
     Args:
-        exported: what `CompiledStep.exported.serialize()` gave.
+        exported: bytes from `CompiledStep.exported.serialize()`.
 
     Returns:
         fn(carry, input) -> (carry, output), compiled.
@@ -144,7 +144,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 def _compile(exported: export.Exported):
     """Compile through `jax.jit`, which dispatches twice as fast as a `Compiled` object, by calling it once.
 
-    Numbers of 64 bits are rounded on the way in: the caller may have enabled them or not.
+    64-bit inputs are rounded, because the caller may have enabled them.
     """
     run = jax.jit(lambda *given: exported.call(*(jnp.asarray(g, jnp.float32) for g in given)))
     carry, values = (np.zeros(a.shape, np.float32) for a in exported.in_avals)
@@ -167,7 +167,7 @@ def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) 
 @singledispatch
 def lag(drive: AbstractDrive) -> Array:
     """Return the time constant tau of u = V + tau V', s."""
-    raise BadInput(f"no real-time inverse of a {type(drive).__name__}")
+    raise BadInput(f"a {type(drive).__name__} has no real-time inverse")
 
 
 @lag.register
@@ -219,9 +219,9 @@ def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarra
 def _refused(model: Model, dt: float) -> Model:
     """Return the model, or refuse one that has no real-time step."""
     if model.effects:
-        raise BadInput("real-time steps are for models without effects")
+        raise BadInput("real-time steps only work for models without effects")
     if not dt > 0:
-        raise BadInput(f"dt must be positive, got {dt} s")
+        raise BadInput(f"dt must be positive, not {dt} s")
     return model
 
 

@@ -92,7 +92,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
     """Take one Mehrotra predictor-corrector step on the KKT system; the a_k are eliminated stage by stage.
 
     With S = m / s per inequality: G' S G joins Q, the two bounds on |g z + h| join as 4 S+ S- / (S+ + S-) on g z + h,
-    and the budget's multiplier is one number, whose answer (`per_price`) is one more right-hand side.
+    and the budget's multiplier is a scalar, whose response (`per_price`) is one more right-hand side.
     """
     stiffness = jax.tree.map(lambda m, s: m / s, now.multiplier, now.slack)
     bounds, (upper, lower), budget = stiffness
@@ -139,7 +139,7 @@ def _improve(problem: StageQP, now: _Iterate, count: int) -> _Iterate:
 
 
 def _longest(now: _Iterate, aim: _Iterate, part: float) -> Array:
-    """Return the step, at most 1, that goes this part of the way to the first slack or multiplier of zero."""
+    """Return the step length, at most 1, that covers the fraction `part` of the way to the nearest bound."""
 
     def to_zero(value, ahead):
         return jnp.min(where(ahead < value, value / jnp.where(ahead < value, value - ahead, 1.0), jnp.inf))

@@ -34,7 +34,7 @@ class Piece:
 
     Attributes:
         voltage: drive voltage before any limit, V, shape (samples,).
-        infeasible: True where the model asks for a force no voltage makes.
+        infeasible: True where the model needs a force that no voltage produces.
     """
 
     voltage: Float[np.ndarray, " samples"]
@@ -50,14 +50,14 @@ def invert_stream(
         model: identified or trained, without effects.
         blocks: wanted displacement from the position at 0 V, base unit.
         dt: sampling interval, s.
-        window: samples per pass, 16 at least; memory in use is proportional to it.
+        window: samples per pass, at least 16; memory use is proportional to it.
 
     Returns:
-        pieces of the answer, in order, as soon as they are known.
+        pieces of the result, in order, as soon as they are known.
 
     Raises:
-        BadInput: the model has effects, dt is not positive or the window too small; on the way, a sample is missing or
-            all blocks together are too short for its order.
+        BadInput: the model has effects, dt is not positive or the window too small; later, a sample is missing, or all
+            blocks together are too short for its order.
 
     Examples:
         >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)
@@ -66,10 +66,12 @@ def invert_stream(
     """
     refuse_traced("invert_stream", "inverse", model, None if isinstance(blocks, Iterator) else blocks)
     model = model_of(model)
+    if isinstance(blocks, np.ndarray) and blocks.ndim < 2:
+        raise BadInput("blocks is one array: give a list of arrays, [displacement] where there is only one")
     if model.effects:
-        raise BadInput("streaming inverts eq. 13 alone, without the model's effects: use `feedforward`")
+        raise BadInput("streaming does not support effects; use `feedforward`")
     if not dt > 0 or window < _SMALLEST:
-        raise BadInput(f"dt {dt} s, window {window}: the first must be positive, the second {_SMALLEST} at least")
+        raise BadInput(f"dt {dt} s, window {window}: dt must be positive, and window at least {_SMALLEST}")
     return _pieces(model, blocks, dt, window)
 
 
@@ -96,7 +98,7 @@ def _whole(blocks) -> Iterator[np.ndarray]:
         values = np.asarray(block, np.float64)
         if not np.isfinite(values).all():
             place = first + int(np.argmin(np.isfinite(values)))
-            raise BadInput(f"sample {place} of the wanted displacement is not a number: fill it, or stop there")
+            raise BadInput(f"sample {place} of the wanted displacement is not a number; fill it, or stop there")
         first += len(values)
         yield values
 

@@ -41,8 +41,8 @@ class Path:
     """A target with its lead-in.
 
     Attributes:
-        displacement: model coordinates, m, shape (M,), from where it stands.
-        target: where the target itself lies.
+        displacement: model coordinates, m, shape (M,), from its initial position.
+        target: samples of the target itself.
         slew_kept: the nominal force of the lead-in stays within the slew limit.
         reached: the lead-in ends in the target's first state: x^(i) within 2 % of omega_0^i times the target's size.
         lead_out: how long the voltage takes to its end at least, s.
@@ -75,7 +75,7 @@ def at_rate_of_model(target: Target, dt: float) -> Target:
     pieces = int(np.ceil(target.dt / dt * (1 - _CLOSE)))
     count = pieces * (len(target.time) - 1) + 1
     if count > MOST:
-        raise BadInput(f"{count} samples at the model's rate; at most {MOST} are planned: shorten the target")
+        raise BadInput(f"the target has {count} samples at the model's rate, more than {MOST}; shorten it")
     time = np.linspace(target.time[0], target.time[-1], count)
     spline = make_interp_spline(target.time, target.displacement, k=3 if len(target.time) > 3 else 1)
     return replace(target, time=time, displacement=spline(time))
@@ -105,13 +105,13 @@ def settling(model: Model) -> tuple[float, float]:
 
 
 def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: float = 0.0) -> Path:
-    """Add a lead-in to a target that does not start at rest where it stands (m), or whose voltage is late.
+    """Add a lead-in to a target that does not start at rest at its initial position (m), or whose voltage is late.
 
-    Rest is S = 0: at order 3 and up the acceleration counts. One of order 2 can take it up at once, but for what the
-    first sample, which stays at the voltage of the ends, would miss.
+    Rest is S = 0; from order 3 on this includes the acceleration. Order 2 can change it at once, except for the first
+    sample, which stays at the voltage of the ends.
 
-    The lead-in is doubled while its voltage breaks the slew limit or it does not arrive: once within the force that
-    the first sample needs, then twice within the limits.
+    The lead-in is doubled while its voltage exceeds the slew limit or it misses its final state: once within the force
+    that the first sample needs, then twice within the limits.
     """
     order, force_of = model.order, model.input_map.force
     wanted = wanted - stands
@@ -148,16 +148,16 @@ def extend(wanted: np.ndarray, dt: float, model: Model, limits: Limits, stands: 
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
-    """Find a way from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
+    """Find a motion from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
 
         F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
 
-    A polynomial ramp would ask the square of a voltage to pull back: from rest to the lower end of a resonant swing
-    the actuator has to be rocked. Cubic B-splines, 8 to a period of the resonance, at least 40.
+    A polynomial ramp would need a negative force, which a squared voltage cannot produce. To reach the lower end of a
+    resonant swing, the actuator must be swung up. Cubic B-splines, 8 per period of the resonance, at least 40.
 
     Returns:
-        displacement (count,) in m and force (count,), whose next sample is the target's first; and the state [x, ...,
-            x^(n)] in which it arrives: `end`, where the force's bounds let it.
+        displacement (count,) in m and force (count,), whose next sample is the target's first; and the final state [x,
+            ..., x^(n)]: `end` if the force's bounds allow it.
     """
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])

@@ -25,7 +25,7 @@ _TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one si
 
 
 _WAYS = {
-    "backlash width": "a second hinge in series, range +- half of it: one more body, a smaller timestep",
+    "backlash width": "a second hinge in series with a range of +- half of it (one more body, a smaller timestep)",
     "backlash rate": "damping of that second hinge over its inertia",
     "second_mode inertia": "a second body on a hinge with stiffness and damping",
     "second_mode spring": "stiffness of that second hinge",
@@ -36,8 +36,8 @@ _WAYS = {
     "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
     "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
-    "coulomb_friction mu": "none: frictionloss does not grow with the load",
-    "sensor_lag tau": "none on the sensor: filter qpos in your control loop",
+    "coulomb_friction mu": "none, because frictionloss does not grow with the load",
+    "sensor_lag tau": "none on the sensor; filter qpos in your control loop",
 }
 
 
@@ -46,10 +46,10 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
 
     Args:
         joint: as it is in the file.
-        told: the table of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+        told: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
 
     Returns:
-        changes, the numbers that the file cannot hold, and the element to insert before the joint, or "".
+        changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
     rows = {p.name: p for p in told if _is_known(p)}
     f = joint.torque_per_command
@@ -124,7 +124,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the alternative interpretation of the same parameters."""
+    """Return the factor on the gain, and the alternative interpretation of the parameters."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""

@@ -57,20 +57,20 @@ def read_document(path: str | Path) -> Document:
     """Read a MuJoCo file and its includes.
 
     Raises:
-        BadInput: no such file, no XML, not a MuJoCo model, an include that is missing or holds itself.
+        BadInput: no such file, not XML, not a MuJoCo model, or an include that is missing or includes itself.
     """
     main = Path(path)
     texts: dict[Path, bytes] = {}
     tags = tuple(_tags(main, main.parent, (), texts))
     if not tags or tags[0].name != "mujoco":
-        raise BadInput(f"{cleaned(main)}: is no MuJoCo model (its root is not <mujoco>); give the robot's MJCF file")
+        raise BadInput(f"{cleaned(main)}: is not a MuJoCo model (its root is not <mujoco>); give the robot's MJCF file")
     return Document(main, texts, tags)
 
 
 def _tags(file: Path, folder: Path, path: tuple[str, ...], texts: dict[Path, bytes]) -> Iterator[Tag]:
     """Yield the start tags of a file, with those of an included file in place of its <include>."""
     if file in texts:
-        raise BadInput(f"{cleaned(file)}: is included twice; MuJoCo takes each file once")
+        raise BadInput(f"{cleaned(file)}: is included twice, but MuJoCo takes each file once; remove one include")
     try:
         text = file.read_bytes()
     except OSError as error:
@@ -103,7 +103,7 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
     try:
         parser.Parse(text, True)
     except expat.ExpatError as error:
-        raise BadInput(f"{cleaned(file)}: is no XML: {error}; mend the file") from None
+        raise BadInput(f"{cleaned(file)}: is not XML: {error}; correct the file") from None
     return found
 
 

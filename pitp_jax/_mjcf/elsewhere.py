@@ -16,7 +16,7 @@ def texts(joint: Joint) -> dict[str, str]:
     """Return the text of each file by its name.
 
     Args:
-        joint: with the robot's numbers, as MuJoCo compiles them.
+        joint: with the robot's parameters, as MuJoCo compiles them.
     """
     return {ISAAC: _isaac(joint), NEWTON: _newton(joint), URDF: _urdf(joint)}
 

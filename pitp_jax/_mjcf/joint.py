@@ -39,8 +39,8 @@ class Joint:
     Attributes:
         name, actuator: their names; the actuator's may be empty.
         numbers: of the joint and of the actuator in the compiled model.
-        joint_tag, actuator_tag: where they stand in the text.
-        hinge: whether it turns (angles in rad) and does not slide (m).
+        joint_tag, actuator_tag: their places in the text.
+        hinge: whether it rotates (angles in rad); otherwise it slides (m).
         position: whether the actuator is a position servo; otherwise a motor.
         kp, kv, gear: of the actuator.
         inertia: about the joint at the model's reference pose, kg m^2 or kg.
@@ -50,9 +50,9 @@ class Joint:
         delay, lag: of the actuator, s.
         timestep: of the simulation, s.
         degrees: whether the file gives angles in degrees.
-        autolimits: whether a range alone limits.
+        autolimits: whether a range alone sets a limit.
         anchor: of the joint in its body's frame, m.
-        gravity: the part that a turning arm feels, in the body's frame at q = 0, m/s^2; zero for a slide.
+        gravity: component that acts on a rotating arm, in the body's frame at q = 0, m/s^2; zero for a slide.
     """
 
     name: str
@@ -95,7 +95,9 @@ def load_model(path: str | Path) -> Any:
     try:
         return mujoco_package().MjModel.from_xml_path(str(path))
     except (ValueError, OSError) as error:
-        raise BadInput(f"{cleaned(path)}: MuJoCo refuses it: {' '.join(str(error).split())}; mend the file") from None
+        raise BadInput(
+            f"{cleaned(path)}: MuJoCo rejects it: {' '.join(str(error).split())}; correct the file"
+        ) from None
 
 
 def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joint:
@@ -104,10 +106,11 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     Args:
         document: of the file.
         joint: its name.
-        actuator: of several on the joint, the one that was commanded.
+        actuator: the commanded one of several on the joint.
 
     Raises:
-        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, one of another kind.
+        BadInput: no such joint or actuator, a ball or free joint, no or several actuators on it, or one of another
+            kind.
     """
     mujoco, file = mujoco_package(), cleaned(document.main)
     model = load_model(document.main)
@@ -150,7 +153,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
 
 
 def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
-    """Return the part of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
+    """Return the component of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joint]] = 0.0
     mujoco.mj_forward(model, data)
@@ -220,7 +223,7 @@ def _is_servo(mujoco: Any, model: Any, a: int, file: str) -> bool:
             return True
     name = model.actuator(a).name
     raise BadInput(
-        f"{file}: actuator {name!r} is neither a position servo nor a motor: its numbers cannot be told apart"
+        f"{file}: actuator {name!r} is not a position servo or a motor, so its parameters cannot be separated"
     )
 
 
@@ -233,8 +236,8 @@ def _joint_tag(document: Document, joint: str) -> Tag:
         if tag.name == "joint" and "worldbody" in tag.path and tag.attributes.get("name") == joint:
             return tag
     raise BadInput(
-        f"{cleaned(document.main)}: joint {joint!r} stands in no file as such (it is attached or replicated); "
-        "give the file that MuJoCo saves with mj_saveLastXML"
+        f"{cleaned(document.main)}: joint {joint!r} is not written in any file (it is attached or replicated); give "
+        "the file that MuJoCo saves with mj_saveLastXML"
     )
 
 
@@ -246,7 +249,10 @@ def _actuator_tag(document: Document, joint: str, name: str, which: int) -> Tag:
     named = [tag for tag in of_joint if name and tag.attributes.get("name") == name]
     if named or which < len(of_joint):
         return named[0] if named else of_joint[which]
-    raise BadInput(f"{cleaned(document.main)}: the actuator of joint {joint!r} stands in no file as such")
+    raise BadInput(
+        f"{cleaned(document.main)}: the actuator of joint {joint!r} is not written in any file; give the "
+        "file that MuJoCo saves with mj_saveLastXML"
+    )
 
 
 def _compiler(document: Document, attribute: str, default: str) -> str:

@@ -28,7 +28,7 @@ class Played:
 
     Attributes:
         record: of the robot.
-        held_out: whether the diagnosis had not seen it.
+        held_out: whether the diagnosis did not use it.
         before, after: joint position in MuJoCo at its samples, base unit; `before` None without such a file.
     """
 
@@ -86,7 +86,7 @@ class Verification:
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
 
     def lines(self) -> list[str]:
-        """Return sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = []
         for held_out, words in ((False, "recordings of the diagnosis"), (True, "other recordings")):
             after, before = self.gap(held_out), self.gap(held_out, after=False)
@@ -94,7 +94,7 @@ class Verification:
                 from_ = "" if before is None else f"{number(before, 3)} -> "
                 said.append(f"gap in MuJoCo on {words}: {from_}{number(after, 3)} % of range")
         if self.better is False:
-            said.append("the new file is not better than the old one beyond the noise")
+            said.append("the new file is not significantly better than the old one")
         return said
 
     def __str__(self) -> str:
@@ -134,9 +134,9 @@ def verify_mjcf(
     Args:
         records: of the robot, angles in rad or positions in m, commands in the unit of ctrl.
         mjcf: the changed file.
-        joint, actuator: whose command and motion were recorded.
+        joint, actuator: with the recorded command and motion.
         before: the file as it was.
-        held_out: recordings that the diagnosis has not seen.
+        held_out: recordings that the diagnosis did not use.
 
     Returns:
         gaps in % of range.
@@ -155,7 +155,8 @@ def verify_mjcf(
     for record, one in zip(held_out, sums(held_out), strict=True):
         if one["sha256"] in text:
             raise BadInput(
-                f"{record.source}: the diagnosis used this recording, as {mjcf} says; give others as held out"
+                f"{record.source}: the diagnosis used this recording ({mjcf} lists it); give other recordings as held "
+                "out"
             )
     every = [*records, *held_out]
     after = play(mjcf, joint, every, actuator)

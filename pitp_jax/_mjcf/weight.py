@@ -23,7 +23,7 @@ def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> 
 
     Args:
         joint: as it is in the file.
-        w: m g l that the robot has beyond its simulator, N m; negative for a weight above the axis.
+        w: additional m g l of the robot, N m; negative for a weight above the axis.
         error: its standard error, or None.
         armature: that the joint would have without the weight, kg m^2.
     """

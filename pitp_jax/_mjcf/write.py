@@ -40,8 +40,8 @@ class Written:
         file: the new file.
         joint, actuator: their names.
         changes: attributes with old and new value.
-        left: numbers that no attribute holds, with the nearest way.
-        remarks: what the user should know.
+        left: parameters that no attribute holds, with the nearest alternative.
+        remarks: remarks for the user.
     """
 
     file: Path
@@ -52,7 +52,7 @@ class Written:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return sentences for the terminal."""
+        """Return the result as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
@@ -72,20 +72,20 @@ def write_mjcf(
 ) -> Written:
     """Write the parameters that the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
 
-    Beside it the same numbers for Isaac Lab, Newton and URDF. Changed are joint `armature`, `damping`, `stiffness`,
-    `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and `delay` with `nsample` and
-    `timeconst` where the installed MuJoCo knows them. Each change has a comment with the old value, the new one and its
-    95 % interval.
+    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
+    `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
+    `delay` with `nsample` and `timeconst` if the installed MuJoCo knows them. Each change has a comment with the old
+    value, the new one and its 95 % interval.
 
     Args:
         found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
         mjcf: the file.
         joint: whose motion was recorded.
         out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
-        actuator: that was commanded, where several drive the joint.
+        actuator: the commanded one, if several act on the joint.
 
     Returns:
-        the changes, and what could not be written.
+        the changes, and the parameters that could not be written.
 
     Raises:
         BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
@@ -105,7 +105,7 @@ def write_numbers(
     """Write a table of parameters into a copy of a file.
 
     Args:
-        told: numbers of the simulator and the robot, in the command's unit.
+        told: parameters of the simulator and the robot, in the command's unit.
         records: of the robot.
         simulator: its coefficients a_i, shape (order + 1,).
         mjcf, joint, out, actuator: as for `write_mjcf`.
@@ -147,12 +147,12 @@ def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> lis
     seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
     if abs(seen - it.inertia) > _APART * it.inertia:
         said.append(
-            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}: "
-            "were they made with this file and this joint?"
+            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}. Check that "
+            "they were made with this file and this joint"
         )
     unit = base_unit(records[0].displacement_unit)
     if unit != ("rad" if it.hinge else "m"):
-        said.append(f"the recordings are in {unit}, MuJoCo counts in {'rad' if it.hinge else 'm'}: give --output-unit")
+        said.append(f"the recordings are in {unit}, MuJoCo uses {'rad' if it.hinge else 'm'}; give --output-unit")
     return said
 
 
@@ -187,7 +187,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
     """Write every file, after MuJoCo has compiled them in a temporary folder, so that no invalid file remains.
 
     Raises:
-        BadInput: MuJoCo refuses what would be written.
+        BadInput: MuJoCo rejects the new file.
     """
     main = document.main
     target = out if out.suffix == ".xml" else out / identified_name(main)
@@ -204,7 +204,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
         for source in sorted(p for p in Path(kept).rglob("*") if p.is_file()):
             place = target.parent / source.relative_to(kept)
             if place.resolve() in {file.resolve() for file in texts}:
-                raise BadInput(f"{cleaned(place)}: is a file of the model itself; choose another folder")
+                raise BadInput(f"{cleaned(place)}: is a file of the original model; choose another folder")
             place.parent.mkdir(parents=True, exist_ok=True)
             write_bytes_atomic(place, source.read_bytes())
     return target
@@ -220,5 +220,5 @@ def _within(file: Path, folder: Path) -> Path:
         return file.relative_to(folder)
     except ValueError:
         raise BadInput(
-            f"{cleaned(file)}: the include lies outside {cleaned(folder)}; put it into that folder"
+            f"{cleaned(file)}: the included file lies outside {cleaned(folder)}; put it into that folder"
         ) from None

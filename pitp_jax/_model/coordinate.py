@@ -31,14 +31,14 @@ def direction(model: Model) -> float:
 
 
 def from_model(model: Model, x: Values, zero: Zero = "rest") -> Values:
-    """Convert the model's displacement x (m) to the coordinate (m), or to another zero."""
+    """Convert the model's displacement x (m) to the coordinate (m), or relative to another offset."""
     if zero == "sensor":
         return model.output.to_rig(x)
     return sign(model) * x + (0.0 if zero == "rest" else zero)
 
 
 def to_model(model: Model, y: Values, zero: Zero = "rest") -> Values:
-    """Convert a displacement in the coordinate (m), or with another zero, to the model's x (m)."""
+    """Convert a displacement from the coordinate (m), or relative to another offset, to the model's x (m)."""
     if zero == "sensor":
         return model.output.to_model(y)
     return sign(model) * (y - (0.0 if zero == "rest" else zero))

@@ -16,14 +16,14 @@ from .constants import Constants, number, numbers
 
 
 class Domain(Constants):
-    """The range of recordings in which a model may be trusted.
+    """The range of the training records, within which a model is valid.
 
     Attributes:
         dt: sampling interval of the records, s.
-        voltage_range: lowest and highest drive voltage, V.
+        voltage_range: lowest and highest voltage, V.
         slew: highest slew of the voltage, V/s.
-        region: lowest and highest value of every feature (S then memory, scaled); no row where nothing was trained.
-        clock: what the records' clock showed when their session began, s; 0 unless it shows absolute time.
+        region: lowest and highest value of every feature (S then memory, scaled); no row without training.
+        clock: time of the records' clock at the start of their session, s; 0 unless it is absolute time.
     """
 
     dt: float = eqx.field(converter=number, static=True)

@@ -21,8 +21,8 @@ from .positive import logit_of, positive_factor
 from .relu_tables import logits_by_tables
 from .rows import Rows, affine, as_product, vmapped, written_out
 
-# at one instant (vmapped, differentiated) layers are products, over many written out, in a scan over records joined
-Way = Literal["instant", "instants", "records"]
+# at one instant (vmapped, differentiated) layers are products, over many written out
+Way = Literal["instant", "instants"]
 _NO_BOUND = 1e6  # scaled features are of order one
 _WRITTEN_OUT = 32  # hidden units of a net; above, a matrix product is faster and compiles faster
 _FEW = 256  # instants for which the paper's tables cost more to build than they save
@@ -40,7 +40,7 @@ class AbstractEncoder(eqx.Module):
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
         """Return fn(features): logits, one row per token and one for the offset, for instants of any shape.
 
-        Constant parts are computed here once, and not at every step of a scan.
+        Constant parts are computed once here, not at every step of a scan.
         """
         return lambda features: vmapped(self, features)
 
@@ -54,7 +54,7 @@ class AbstractEncoder(eqx.Module):
 
 
 class ConstantEncoder(AbstractEncoder):
-    """Constant tokens: the identified linear model."""
+    """An encoder with constant tokens: the identified linear model."""
 
     outputs: int = eqx.field(static=True)
 
@@ -88,34 +88,13 @@ class _Net(eqx.Module):
 
 
 def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
-    """Return fn(features): outputs of nets that each see some columns; over records they share one hidden matrix."""
-    if way == "records":
-        return _side_by_side(nets)
-    layer = as_product if way == "instant" else written_out
+    """Return fn(features): outputs of nets that each see some columns."""
+    widest = max(len(net.hidden.weight) for net, _ in nets)
+    layer = as_product if way == "instant" or widest > _WRITTEN_OUT else written_out
     layers = [(layer(*affine(net.hidden)), layer(*affine(net.readout)), columns) for net, columns in nets]
     return lambda rows: [
         outer(jax.tree.map(jnp.tanh, inner([rows[c] for c in columns]))) for inner, outer, columns in layers
     ]
-
-
-def _side_by_side(nets: Sequence[tuple[_Net, list[int]]]) -> Callable[[Rows], Sequence[Rows]]:
-    """Build the same with all nets in one hidden matrix and one block-diagonal readout.
-
-    Zeros multiplied along cost less than starting three small products at every step of a scan.
-    """
-    width = 1 + max(c for _, columns in nets for c in columns)
-    (weights, inner), (readouts, outer) = (
-        zip(*(affine(part) for part in parts), strict=True)
-        for parts in zip(*((net.hidden, net.readout) for net, _ in nets), strict=True)
-    )
-    wide = [
-        jnp.zeros((len(w), width), w.dtype).at[:, jnp.array(c)].set(w) for w, (_, c) in zip(weights, nets, strict=True)
-    ]
-    # a column that a net does not see has weight zero
-    hidden = as_product(jnp.concatenate(wide), jnp.concatenate(inner))
-    readout = as_product(jax.scipy.linalg.block_diag(*readouts), jnp.concatenate(outer))
-    ends = np.cumsum([len(w) for w in readouts])[:-1]
-    return lambda rows: jnp.split(readout(jnp.tanh(hidden(rows[:width]))), ends)
 
 
 class CompactEncoder(AbstractEncoder):
@@ -125,20 +104,20 @@ class CompactEncoder(AbstractEncoder):
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
         sigma_off                  = past(x, m_fast)              + sum_k (a_k + b_k x + c_k x^2) m_k
 
-    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force
-    f(x, m) is sigma_0 x + sigma_off, so nothing is lost by keeping velocity and memory out of sigma_0 and sigma_n; what
-    is won is that neither can pump energy. The net sees the fast memories only: what it learns of the slow ones does
-    not hold beyond the training records (docs/decisions/training.md).
+    A tanh saturates outside the data and a hardening spring does not, hence the polynomials. Every restoring force f(x,
+    m) is sigma_0 x + sigma_off, so sigma_0 and sigma_n need neither velocity nor memory. Without them neither token can
+    add energy. The net receives only the fast memories, because its dependence on slow ones does not hold beyond the
+    training records (docs/decisions/training.md).
 
-    Features are clipped to `bounds` first, so tokens stay where training put them: outside, the spring is linear.
+    Features are first clipped to `bounds`, so tokens stay in their trained range: outside, the spring is linear.
 
-    `frugal`: without nets that see memories, for few excitations, where such nets learn what was played.
+    `frugal`: without nets of memories, for few excitations, because such nets would memorise the inputs.
 
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
         all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
-    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
-    one no token can express a force left over when x crosses zero), `frugal`, bounds of shape (2, features).
+    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without one
+    no token can express a remaining force at x = 0), `frugal`, bounds of shape (2, features).
     """
 
     spring: _Net
@@ -189,9 +168,7 @@ class CompactEncoder(AbstractEncoder):
         memories, sums = len(low) - n, as_product if way == "instant" else written_out
         moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
         seen_by = [(self.spring, [0]), (self.damping, moving), (self.past, past)]
-
-        wide = way == "instants" and len(self.spring.hidden.weight) > _WRITTEN_OUT
-        nets = _nets([(net, c) for net, c in seen_by if net is not None], "records" if wide else way)
+        nets = _nets([(net, c) for net, c in seen_by if net is not None], way)
 
         def logits(features: Rows) -> Rows:
             # a cubic diverges outside the data; with clipping, tokens stay constant and the spring continues linearly
@@ -245,9 +222,9 @@ class AdaptedEncoder(AbstractEncoder):
         all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
         sigma_off times offset
 
-    A memory that has settled (m = x) is seen as it is, so what the actuator does in the long run is kept, and what it
-    does on the way there is scaled. `creep`: a factor for each of the last features, which are lags of x. `reach`: low,
-    middle, high. From order 3 on sections are not tilted one by one, and the second tilt is the offset's alone.
+    A settled memory (m = x) does not change, so the long-term behaviour is kept and the transient is scaled. `creep`: a
+    factor for each of the last features, which are lags of x. `reach`: low, middle, high. From order 3 on sections are
+    not changed one by one, and the second slope applies to the offset alone.
     """
 
     inner: AbstractEncoder
@@ -353,13 +330,20 @@ class PaperEncoder(AbstractEncoder):
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):
-        """Return the logits of few instants one by one, of many by tables (`relu_tables`)."""
+        """Return the logits: on a CPU those of many instants by tables (`relu_tables`), all others one by one."""
+
+        def one_by_one(*features):
+            return vmapped(self, features)
+
+        def tabulated(*features):
+            logits = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
+            return [*logits.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
 
         def logits(features: Rows) -> Rows:
             if features[0].size < _FEW:
-                return vmapped(self, features)
-            logits = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
-            return [*logits.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
+                return one_by_one(*features)
+            # the tables are read in blocks that suit a CPU's cache: on a GPU they take 35 times as long as the products
+            return jax.lax.platform_dependent(*features, cpu=tabulated, default=one_by_one)
 
         return logits
 

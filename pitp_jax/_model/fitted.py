@@ -26,7 +26,7 @@ class Fitted:
 
     Attributes:
         model: the pure pytree.
-        origin: what it was made from; empty once JAX has transformed the pair.
+        origin: its records and lineage; empty after a JAX transformation.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -72,7 +72,7 @@ def model_of(given: Model | Fitted) -> Model:
     """Return the model without its origin.
 
     Raises:
-        BadInput: what was given is none; saying what it is, and what to give.
+        BadInput: the argument is not a model; the message names its type and the accepted types.
     """
     if isinstance(given, Fitted):
         return given.model
@@ -81,7 +81,7 @@ def model_of(given: Model | Fitted) -> Model:
     inside = isinstance(getattr(given, "model", None), Model)
     kind = type(given).__name__
     remedy = f"give its .model (the {kind} holds one)" if inside else "give pitp.load(FILE) or identify(...).model"
-    raise BadInput(f"a {kind} is no model: {remedy}")
+    raise BadInput(f"a {kind} is not a model; {remedy}")
 
 
 def fitted_of(given: Model | Fitted) -> Fitted:

@@ -21,7 +21,7 @@ class AbstractInputMap(eqx.Module):
     Attributes:
         name: in files and options.
         unit: of the force.
-        one_sided: whether it makes no negative force.
+        one_sided: whether it cannot produce a negative force.
     """
 
     name: ClassVar[str]

@@ -22,7 +22,7 @@ from .rows import Rows
 
 
 class AbstractMemory(eqx.Module):
-    """States beside S that are driven by x alone; `x` is in the model's scaled coordinates throughout."""
+    """Additional states that depend on the displacement x alone, in the model's scaled coordinates."""
 
     @property
     @abstractmethod
@@ -116,7 +116,7 @@ class RingingMemory(AbstractMemory):
     """A second mass on a spring, and a bank of lags: eigenfrequency `exp(log_omega)` (rad/s), damping ratio zeta.
 
     Its force kappa (r - x) is linear in the memory and in x, so the offset token contains it. A mode within the band
-    also acts well below its frequency; without this memory the whole model deforms to imitate it
+    also acts well below its frequency; without this memory the other parameters would imitate it
     (docs/decisions/second_resonance.md).
     """
 

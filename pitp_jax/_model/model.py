@@ -77,9 +77,9 @@ class Model(eqx.Module):
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
         encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side. Any
             other Equinox module as encoder is wrapped (`OwnEncoder`).
-        hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
+        hold: the voltage between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
-        domain: what it was shown: sampling, voltages, region.
+        domain: range of its training data: sampling, voltages, region.
     """
 
     coefficients: Float[Array, " tokens"]
@@ -125,7 +125,7 @@ class Model(eqx.Module):
     def natural_frequency(self) -> float:
         """Return the resonance frequency, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
 
-        A bare integrator has none; the frequency of the motion it was identified on is returned instead.
+        A pure integrator has none; then the frequency of its identification records is returned.
         """
         # the scale of x' over that of x
         return dominant_frequency(self.physical_coefficients) or float(self.scales.rates[0])
@@ -184,20 +184,20 @@ def linear_model(
 ) -> Model:
     """Build a linear model from coefficients a_0 ... a_n (V^2 s^i / m): constant tokens, no memory, no effects.
 
-    Other parts come in by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
+    Set other parts by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
 
     Args:
-        coefficients: a_0 ... a_n of stable roots, shape (n + 1,); behind a linear input in V s^i / m.
+        coefficients: a_0 ... a_n of stable roots, shape (n + 1,); V^2 s^i / m, for a linear input V s^i / m.
         dt: sampling interval, s.
-        domain: sampling interval and limits, in place of `dt`.
+        domain: sampling interval and limits, instead of `dt`.
         input_map: `SquareInput()` (default) or `LinearInput()`.
         hold: how the voltage runs between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
-        substeps: Runge-Kutta steps a sample; None follows from the poles.
+        substeps: Runge-Kutta steps a sample; None: from the poles.
         output: offset and direction of the sensor; default 0 and +1.
-        state_scale: unit of every derivative, m / s^i, shape (n + 1,); None is what the force's unit moves at the
+        state_scale: unit of every derivative, m / s^i, shape (n + 1,); None: the motion under a unit force at the
             natural frequency.
-        force_scale: unit of the force, V^2 or V; None is that of the highest voltage, of 1 kV (1 V behind a linear
-            input) where no limit is known.
+        force_scale: unit of the force, V^2 or V; None: the force of the highest voltage, or of 1 kV (1 V for a linear
+            input) without a limit.
 
     Returns:
         the model.
@@ -211,7 +211,7 @@ def linear_model(
         5.03
     """
     if domain is None and dt is None:
-        raise BadInput("linear_model: give dt, the sampling interval in s")
+        raise BadInput("linear_model needs dt, the sampling interval in s")
     domain = Domain(number(dt)) if domain is None else domain
     coefficients, input_map = np.asarray(coefficients, np.float64), input_map or SquareInput()
     if force_scale is None:

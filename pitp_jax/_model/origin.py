@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float
 
+from .._record.excited import Table
 from .._record.long_record import LongRecord
 
 
@@ -15,7 +16,7 @@ class OutOfFold:
 
     Attributes:
         edges_hz: of the bands, one more than those.
-        error, output: rms of what is left, and of the output about its mean, in each band (output's base unit).
+        error, output: rms of the residual, and of the output about its mean, in each band (output's base unit).
     """
 
     edges_hz: tuple[float, ...]
@@ -28,19 +29,20 @@ class Origin:
     """The data and history from which a model was made.
 
     Attributes:
-        displacement_unit, voltage_unit: units the user's files had.
-        covariance: of ln a_0 ... ln a_n as identified, shape (n + 1, n + 1); empty where not known, or no longer true.
+        displacement_unit, voltage_unit: units of the user's files.
+        covariance: of ln a_0 ... ln a_n as identified, shape (n + 1, n + 1); empty if unknown or outdated.
         stderr: of a_0 ... a_n as identified; empty likewise.
-        misfit: rms of what the nominal left of its records over their noise; infinite where not known.
-        noise: the sensor's, of the records identified on (rms, base unit); nan where not known.
-        level: e_rms of free runs of its own records, % of their range; nan where not known.
-        out_of_fold: what fits that did not see them leave of those records, by band.
-        remarks: what those records leave open, a sentence each.
+        misfit: rms residual of the nominal on its records over their noise; infinite if unknown.
+        noise: sensor noise of the identification records (rms, base unit); nan if unknown.
+        level: e_rms of free runs of its own records, % of their range; nan if unknown.
+        out_of_fold: errors of those records in fits without them, by band.
+        remarks: open questions after those records, one sentence each.
         identified_on: names of those records.
-        long_record: the longest of them, which training holds creep to.
+        long_record: the longest of them, to which training fits slow creep.
         training: summary of the training, JSON values.
-        adapted: one entry for every `adapt`: its records, and what changed.
+        adapted: one entry for every `adapt`: its records and the changed parameters.
         lineage: one entry for every step that made the model (`_model_file.lineage`), oldest first.
+        excited_input, excited_output: what excited the model (`_record.excited`), base units; empty where not known.
     """
 
     displacement_unit: str = "m"
@@ -57,3 +59,5 @@ class Origin:
     training: dict[str, Any] | None = None
     adapted: tuple[dict[str, Any], ...] = ()
     lineage: tuple[dict[str, Any], ...] = ()
+    excited_input: Table = ()
+    excited_output: Table = ()

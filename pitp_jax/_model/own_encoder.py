@@ -25,7 +25,7 @@ class OwnEncoder(AbstractEncoder):
     The module is called as `module(features)` with scaled features of shape (n + K,): the state x, x', ..., x^(n-1),
     then the K memories. It returns n + 2 logits: one per token sigma_0 ... sigma_n, then the offset token. Logits of 0
     are the identified linear model. A module with an argument `key` gets one in the first phase of the training only,
-    for dropout; without a key it must be deterministic.
+    for dropout; otherwise it must be deterministic.
 
     Attributes:
         module: the user's module; its inexact arrays are parameters and are stored in model files.

@@ -15,6 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from .._errors import BadInput
 from .constants import as_arguments
 
 P = ParamSpec("P")
@@ -24,7 +25,7 @@ T = TypeVar("T")
 def full_precision(function: Callable[P, T]) -> Callable[P, T]:
     """Multiply float32 matrices in a function with full precision, whatever the user's default, also when traced.
 
-    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs: inverse voltages were wrong by 1e-3 of the largest.
+    JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs, which gave voltage errors of 1e-3 of the largest.
     """
 
     @wraps(function)
@@ -49,6 +50,21 @@ def jit(function: Callable[P, T]) -> Callable[P, T]:
 def on_device(values, dtype=None) -> Array:
     """Copy an array from the host to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
     return jax.device_put(np.asarray(values, dtype))
+
+
+def signal(values, dtype, name: str) -> Array:
+    """Convert the signal of one recording to an array of this precision, shape (time,).
+
+    Raises:
+        BadInput: something else than numbers, or several recordings.
+    """
+    try:
+        array = jnp.asarray(values, dtype)
+    except (TypeError, ValueError):
+        raise BadInput(f"{name} is a {type(values).__name__}, not an array of numbers") from None
+    if array.ndim != 1:
+        raise BadInput(f"{name} has shape {array.shape}: give one recording, shape (time,), and use jax.vmap for more")
+    return array
 
 
 def in_double(tree: T) -> T:

@@ -14,5 +14,5 @@ def units_of(given: Model | Fitted) -> Units:
 
 
 def base_units(units: Units) -> Units:
-    """Return the same quantities in their base units."""
+    """Return the base units of the model's quantities."""
     return Units(Quantity(base_unit(units.records_input.unit)), Quantity(base_unit(units.output.unit)), units.squared)

@@ -44,7 +44,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
         model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:
-        BadInput: numbers that are not finite, a part this format has no name for (an effect), or an unwritable file.
+        BadInput: numbers that are not finite, a part that this format does not know (an effect), or an unwritable file.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -77,10 +77,10 @@ def _body(fitted: Fitted) -> bytes:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
     # a part whose arrays were changed by hand: its sizes no longer match their shapes
     if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in _arrays(model)]:
-        raise BadInput("cannot save the model: its arrays are not those its parts are built with")
+        raise BadInput("cannot save the model: its arrays do not match its parts")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
     if problems := header_problems(header) + leaf_problems(*map(list, zip(*arrays, strict=True))):
-        raise BadInput(f"cannot save the model, `load` would refuse it: {'; '.join(problems[:8])}")
+        raise BadInput(f"cannot save the model, because `load` would refuse it: {'; '.join(problems[:8])}")
     lines = ",\n".join(f"{json.dumps(k)}: {json.dumps(encode(v), allow_nan=False)}" for k, v in header.items())
     body = io.BytesIO()
     body.write(b"{\n" + lines.encode("utf-8") + b"\n}\n")
@@ -96,15 +96,15 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
 
     Args:
         path: a file that `save` wrote.
-        encoder: where the model has an encoder of your own, a module of the same class and sizes. Its arrays are
-            replaced by the stored ones; all else in it stays.
+        encoder: for a model with your own encoder, a module of the same class and sizes. Only its arrays are replaced
+            by the stored ones.
 
     Returns:
         a `Fitted`: the model and its origin, equal to those that were saved.
 
     Raises:
-        BadInput: missing, a folder, not a model file, from a newer version, damaged in any bit, or an encoder is
-            missing or does not fit.
+        BadInput: missing, a folder, not a model file, from a newer version, damaged, or an encoder is missing or does
+            not fit.
 
     Examples:
         >>> pitp.save(folder / "model.pitp", model)
@@ -126,7 +126,9 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
         reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
         if encoder is not None:
             name = type(encoder).__name__
-            raise BadInput(f"{path}: {name} is not the stored encoder ({reason}); give one of its sizes") from None
+            raise BadInput(
+                f"{path}: {name} does not match the stored encoder ({reason}); give an encoder of the same sizes"
+            ) from None
         raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
 
 
@@ -147,7 +149,9 @@ def _checked_bytes(path) -> bytes:
             magic = file.readline(64)  # bounded, because another kind of file may have no line end
             _check_version(path, magic)
             if os.fstat(file.fileno()).st_size > LARGEST_FILE:
-                raise BadInput(f"{path}: more than {LARGEST_FILE >> 20} MiB; no model is as large, write it again")
+                raise BadInput(
+                    f"{path}: larger than {LARGEST_FILE >> 20} MiB, more than any model needs; write it again"
+                )
             known, body = file.readline(80), file.read()
     except FileNotFoundError:
         raise BadInput(f"{path}: no such model file; check the path") from None
@@ -178,7 +182,7 @@ def _check_version(path, line: bytes) -> None:
 def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
     """Build the model of a header with shapes in place of its leaves; nothing is allocated.
 
-    Constants (scales, domain, the sensor's offset) have their numbers in the header.
+    Constants (scales, domain, sensor offset) are in the header.
     """
     return eqx.filter_eval_shape(lambda: build(header, own))
 

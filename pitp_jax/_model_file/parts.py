@@ -29,6 +29,7 @@ from .._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
 from .._model.model import Model, Output, Scales
 from .._model.origin import Origin, OutOfFold
 from .._model.own_encoder import OwnEncoder
+from .._record.excited import Table
 from .._record.long_record import LongRecord
 
 LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
@@ -39,7 +40,7 @@ class Part:
     """The storage of one kind of part: its class, the numbers that rebuild it, and its constructor.
 
     Attributes:
-        cls: the class; a part is stored under this name only where its type is exactly this.
+        cls: the class; a part is stored under this name only if its type is exactly this.
         describe: part to keyword arguments of `build`, JSON values only.
         build: keyword arguments to a part with the same leaves' shapes; called abstractly.
     """
@@ -162,7 +163,7 @@ def describe(fitted: Fitted) -> dict:
 def _effect(effect) -> dict:
     key = effect.spec.key if isinstance(effect, Effect) else type(effect).__name__
     if key not in EFFECTS:
-        raise BadInput(f"cannot save the model: {key} has no place in model files; only rows of the catalogue have")
+        raise BadInput(f"cannot save the model: {key} is not an effect of the catalogue")
     return {"name": key, **EFFECTS[key].describe(effect)}
 
 
@@ -194,7 +195,9 @@ def _named(registry: dict[str, Part], part) -> dict:
         if type(part) is kind.cls:  # a user's subclass would be read back as its parent
             return {"name": name, **kind.describe(part)}
     known = ", ".join(registry) or "none yet"
-    raise BadInput(f"cannot save the model: {type(part).__name__} has no place in model files (known: {known})")
+    raise BadInput(
+        f"cannot save the model: a {type(part).__name__} cannot be stored in a model file (known parts: {known})"
+    )
 
 
 def _part(registry: dict[str, Part], described: dict, **given: Any):
@@ -203,7 +206,7 @@ def _part(registry: dict[str, Part], described: dict, **given: Any):
     if name in REMOVED:
         raise BadInput(f"holds the effect {name!r}, which is no longer part of pitp_jax; diagnose the recordings again")
     if name not in registry:
-        raise BadInput(f"holds a part {str(name)[:40]!r} this pitp_jax does not know; update pitp_jax")
+        raise BadInput(f"holds an unknown part {str(name)[:40]!r}; update pitp_jax")
     for key, value in settings.items():
         # the only setting that is a word: an adapted encoder contains a plain one
         if key == "of" and value in ("constant", "compact", "paper", "own"):
@@ -239,11 +242,18 @@ def origin_of(header: dict) -> Origin:
         out_of_fold=_bands(stored["out_of_fold"]),
         remarks=tuple(map(str, stored["remarks"])),
         identified_on=tuple(map(str, stored["identified_on"])),
+        excited_input=_table(stored, "excited_input"),
+        excited_output=_table(stored, "excited_output"),
         long_record=unpacked(header["long_record"]),
         training=None if stored["training"] is None else dict(stored["training"]),
         adapted=tuple(map(dict, stored["adapted"])),
         lineage=tuple(map(dict, stored["lineage"])),
     )
+
+
+def _table(stored: dict, name: str) -> Table:
+    """Return a table of excited cells; empty for files without one."""
+    return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
 
 
 def _without_control(value: Any) -> Any:
@@ -263,7 +273,7 @@ def _encoder(described: dict, own: Any) -> Any:
         name = cleaned(module)[:40]
         raise BadInput(f"holds an encoder of your own ({name}): give pitp.load(FILE, encoder={name}(...)) in Python")
     if module is None and own is not None:
-        raise BadInput("holds no encoder of your own: load it without `encoder`")
+        raise BadInput("holds no encoder of your own; load it without `encoder`")
     return _part(ENCODERS, settings, **({} if own is None else {"module": own}))
 
 

@@ -70,9 +70,16 @@ def _history(origin: dict) -> dict[str, bool]:
     numbers = [training.get(key) or 0.0 for key in ("seconds", "creep_held_to_s", "second_mass_hz")]
     changes = [change for entry in adapted for change in entry["changed"].values()]
     sources = [record for entry in lineage for record in entry.get("records", ())]
+    excited = [row for name in ("excited_input", "excited_output") for row in origin.get(name, ())]
     return {
+        "excited cells that are no rows of three numbers": all(
+            len(row) == 3 and row[0] > 0 and all(math.isfinite(v) and v >= 0 for v in row) for row in excited
+        ),
         "names of records that are no text": all(isinstance(name, str) for name in names),
         "seconds that are no number": all(isinstance(number, (int, float)) for number in numbers),
+        "errors of recordings left out that are no numbers": all(
+            e is None or (math.isfinite(e) and e >= 0) for e in (training.get("left_out_errors") or {}).values()
+        ),
         "stages that are no table": all(isinstance(stage, dict) for stage in training.get("history", ())),
         "changes without factor and interval": all(
             math.isfinite(c["factor"]) and all(map(math.isfinite, c["ci95"])) and len(c["ci95"]) == 2 for c in changes

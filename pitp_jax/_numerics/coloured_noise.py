@@ -61,7 +61,7 @@ def criterion(residual: Float[np.ndarray, " time"], parameters: int, floor: floa
 def block_means(values: np.ndarray, weight: Float[np.ndarray, " time"], size: int) -> tuple[np.ndarray, np.ndarray]:
     """Return weighted means over blocks of `size` samples, shape (blocks, ...), and the mean weight in each.
 
-    Samples behind the last whole block are dropped.
+    Samples after the last whole block are dropped.
     """
     count = len(weight) // size
     w = weight[: count * size].reshape(count, size)

@@ -32,7 +32,7 @@ def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractio
 def between(voltage, hold: str, fractions: np.ndarray, xp):
     """Interpolate the voltage (time,) at every fraction after every sample, shape (time, fractions).
 
-    Beyond its ends the voltage stays what it was there. `xp` is the array's module: numpy or jax.numpy.
+    Beyond its ends the voltage is constant. `xp` is the array's module: numpy or jax.numpy.
     """
     taps = weights(hold, fractions)
     half = len(taps) // 2

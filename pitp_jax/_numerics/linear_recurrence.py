@@ -51,7 +51,7 @@ def oscillator(
 ) -> Float[Array, "time 2"]:
     """Solve r'' = w^2 (x - r) - 2 zeta w r' exactly for x linear between samples; rows (r, r' / w).
 
-    Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w); what is left of the start rings out.
+    Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w), and the initial deviation decays.
     """
     pace = jnp.diff(x) / (omega * dt)  # a / w
     settled = jnp.stack([-2 * zeta * pace, pace], -1)

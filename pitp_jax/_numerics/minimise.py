@@ -77,8 +77,8 @@ def minimise(
 ) -> tuple[np.ndarray, bool]:
     """Find the parameters of least cost from `params` on, none above `upper`; and whether the tolerance was met.
 
-    At most `most` steps; one that lowers the cost by less than the fraction `least` is the last. Parameters with a
-    finite `upper` are taken for logarithms, in which a long step is never to be trusted.
+    It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
+    with a finite `upper` count as logarithms, whose long steps are shortened.
     """
     slow, before, best, converged = 0, np.inf, params, False
     for best, here, met in islice(steps(normal, params, upper), most):
@@ -95,7 +95,7 @@ def steps(
 ) -> Iterator[tuple[np.ndarray, Normal, bool]]:
     """Yield parameters, their `Normal` and whether the tolerance is met: at the start and after every accepted step.
 
-    Ends where it is met, where the start is not finite, or where no step leads down (met, if little was left to win).
+    It ends when it is met, if the start is not finite, or if no step lowers the cost (met, if little could be gained).
     """
     params = np.minimum(params, upper)
     here, damping, growth = normal(params), _FIRST_DAMPING, 2.0
@@ -152,7 +152,7 @@ def accelerated(
     Args:
         errors: blocks of residuals r at given parameters.
         slopes: of the same blocks dr/dp, with one axis more, the last.
-        params: where to start.
+        params: initial values.
     """
     here, damping = errors(params), _FIRST_DAMPING
     cost = _cost(here)

@@ -52,7 +52,7 @@ def _spline(order: int) -> _Spline:
 
 
 def reach(order: int) -> int:
-    """Return how many samples R on either side a derivative uses."""
+    """Return the number of samples R that a derivative uses on either side."""
     return _spline(order).reach
 
 

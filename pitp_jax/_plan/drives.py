@@ -30,13 +30,13 @@ class Planned:
     Attributes:
         name: of its file, in the order of playing.
         kind: sweep, sine, multisine or steps.
-        purpose: what it is for, one sentence.
+        purpose: its purpose, one sentence.
         time: in s, shape (T,).
         voltage: in V, shape (T,), from zero to zero.
         rest: seconds at 0 V after it.
-        stroke: largest displacement a model expects, m; nan without a model.
-        stroke_half_damped: the same where its damping is half of what the model says.
-        go_on: largest stroke (m) at which it may follow the recordings before it; infinity where there is no limit.
+        stroke: largest displacement predicted by a model, m; nan without a model.
+        stroke_half_damped: the same with half of the model's damping.
+        go_on: largest stroke (m) of the recordings before it at which it may follow; infinity without a limit.
     """
 
     name: str

@@ -60,7 +60,7 @@ def motions(
 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """Compute the same for runs of similar length, padded to one length."""
+    """Compute `motions` for runs of similar length, padded to one length."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
@@ -108,10 +108,10 @@ class Knowledge:
     """The information in the records so far about a model.
 
     Attributes:
-        precision: of the trained numbers, per unit of s^2, shape (P, P).
+        precision: of the trained parameters, per unit of s^2, shape (P, P).
         unit: s^2 in %^2 s.
-        error: what the model leaves of its records, % of range.
-        floor: the range (m) of a motion whose noise alone is that error.
+        error: residual of the model on its own records, % of range.
+        floor: the range (m) of a motion for which noise alone gives that error.
     """
 
     precision: np.ndarray
@@ -124,16 +124,18 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     """Compute the information in a model's training records about it.
 
     Raises:
-        BadInput: a model without trained numbers, or one that diverges on every record.
+        BadInput: a model without trained parameters, or one that diverges on every record.
     """
     start, sizes = parameters(model)
     if not len(start):
-        raise BadInput("the model has no trained numbers; give one of `pitp fit`")
+        raise BadInput("the model has no trained parameters; give a model that `pitp fit` wrote")
     dt = records[0].dt
     # a diverged run shows that the model fails there, but not by how much
     misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
     if not misses:
-        raise BadInput("the model diverges on every record: it is not of this actuator, or needs another training")
+        raise BadInput(
+            "the model diverges on every recording; check that they are from this actuator, or train the model again"
+        )
     errors, taus = np.array(misses).T
     error = float(np.sqrt(np.mean(errors**2)))
     # an input that hardly moves the actuator gives only noise, even if the model predicts it well

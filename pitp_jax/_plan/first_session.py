@@ -47,22 +47,22 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
     """Plan all recordings of a first session, in the order of playing.
 
     Raises:
-        BadInput: a duration in which they do not fit.
+        BadInput: a duration that is too short for them.
     """
     part = {name: part * duration for name, part in _PARTS.items()}
     one, swept = part["growth"] / len(_GROWTH), part["sweep"]
     if duration < _least(limits) * (1 - 1e-9):
         raise BadInput(
-            f"--duration {duration:g} s is too short for a first session down to {limits.band[0]:g} Hz: give "
-            f"{_least(limits):.3g} s or more, or a band that begins higher"
+            f"--duration {duration:g} s is too short for a first session down to {limits.band[0]:g} Hz; give at least "
+            f"{_least(limits):.3g} s, or a band that starts at a higher frequency"
         )
     grown = _growth(one, limits)
     raised = max(float(np.abs(r.voltage).max()) for r in grown), max(r.slew for r in grown)
     limits = replace(limits, high=min(limits.high, raised[0]), slew=min(limits.slew, raised[1]))
-    purpose = "the linear model is identified on it: resonance, damping, order"
+    purpose = "for the linear model: resonance, damping, order"
     whole = Planned("sweep", "sweep", purpose, *_swept(1.0, swept, limits), limits.rest)
     filling = space_filling_set(limits, (duration - sum(part.values())) * FEWEST / (FEWEST + 1), seed)
-    again = [replace(r, purpose=f"the same as {r.name}: what differs is noise and drift") for r in filling[:1]]
+    again = [replace(r, purpose=f"the same as {r.name}: shows noise and drift") for r in filling[:1]]
     return (*grown, whole, *filling, *again)
 
 
@@ -74,7 +74,7 @@ def _growth(seconds: float, limits: Limits) -> list[Planned]:
         top = float(np.abs(voltage).max())
         if top > _RAISED * reached:
             part = f"{100 * top / limits.high:.0f} % of the {limits.units.input_word}"
-            text = f"whether the actuator bears {part}: look at its stroke before going on"
+            text = f"shows whether the actuator bears {part}: check the stroke before the next one"
             name = f"growth_{100 * top / limits.high:.0f}"
             grown.append(Planned(name, "sweep", text, time, voltage, limits.rest))
             reached = top
@@ -99,12 +99,12 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
     """Plan inputs that fill frequency, lowest and highest voltage, the smallest first.
 
     Raises:
-        BadInput: a duration shorter than one drive.
+        BadInput: a duration shorter than one input.
     """
     count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
     if count < 1:
         raise BadInput(
-            f"--duration {duration:g} s is too short: two periods of {limits.band[0]:g} Hz and the ramps take "
+            f"--duration {duration:g} s is too short; two periods of {limits.band[0]:g} Hz and the ramps take "
             f"{limits.shortest:.3g} s"
         )
     points = space_filling(count * POINTS, limits, seed)
@@ -122,7 +122,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     size = f"{top:.0f}" if top >= 100 else f"{top:.3g}"
     spread = f", then {hz.min():.3g} to {hz.max():.3g} Hz" if len(points) > 1 else ""
     what = f"motion at {hz[0]:.3g} Hz at first{spread}, up to {size} {shown.unit}"
-    text = f"{what}: one of a set that fills frequency, swing and bias"
+    text = f"{what}: one of a set that covers frequency, amplitude and bias"
     unit = shown.unit.replace(" ", "").replace("/", "_per_")
     return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 
@@ -130,9 +130,9 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 def in_order(
     recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
 ) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and negate every second one if asked for.
+    """Number the recordings, add the strokes at which each may follow, and negate every second one if requested.
 
-    `recorded`: the largest stroke of the recordings that were taken before, m.
+    `recorded`: the largest stroke of the earlier recordings, m.
     """
     bound = np.isfinite(limits.farthest) and len(recordings) > 1
     farther = _farther(recordings, limits, recorded) if bound else []

@@ -46,7 +46,7 @@ def choose(
         precision: Lambda before, shape (P, P).
         candidates: M_c, shape (P, P) each.
         predicted: G, shape (P, P).
-        count: how many, at most all.
+        count: number of recordings, at most all.
         again: whether a candidate may be taken twice.
     """
     # One at a time: subsets of 48 would be too many, and two candidates with the same information are not both chosen.

@@ -24,14 +24,14 @@ class Limits:
     Attributes:
         low, high: voltage range in V, low <= 0 < high.
         slew: V/s.
-        farthest: displacement from 0 V either way in m, or infinity.
-        band: lowest and highest drive frequency in Hz.
+        farthest: largest displacement from 0 V in both directions, m, or infinity.
+        band: lowest and highest input frequency in Hz.
         rate: samples per second.
         rest: seconds at zero input after each recording.
         units: for messages, names and files; all numbers here are in base units.
 
     Raises:
-        BadInput: what cannot be met, all of it in one line.
+        BadInput: with all limits that cannot be met, in one line.
     """
 
     low: float
@@ -50,16 +50,16 @@ class Limits:
         units = self.units
         for name, value in ((units.max_input, self.high), (units.max_rate, self.slew), ("--rate", self.rate)):
             if not (value > 0 and math.isfinite(value)):
-                wrong.append(f"{name} must be positive and finite, got {value:g}")
+                wrong.append(f"{name} must be positive and finite, not {value:g}")
         if not self.farthest > 0:
-            wrong.append(f"{units.max_output} must be positive, got {self.farthest:g}")
+            wrong.append(f"{units.max_output} must be positive, not {self.farthest:g}")
         if not (self.rest >= 0 and math.isfinite(self.rest)):
-            wrong.append(f"--rest cannot be negative, got {self.rest:g}")
+            wrong.append(f"--rest must not be negative, but is {self.rest:g}")
         if not 0 < first < last < math.inf:
-            wrong.append(f"--band needs 0 < LO < HI, got {first:g} {last:g}")
+            wrong.append(f"--band needs 0 < LO < HI, not {first:g} {last:g}")
         elif last > self.rate / _PER_PERIOD * (1 + 1e-9):
             wrong.append(
-                f"--band up to {last:g} Hz is above a tenth of Nyquist at {self.rate:g} Hz: give a --rate of "
+                f"--band up to {last:g} Hz is too high for --rate {self.rate:g} Hz; give a --rate of "
                 f"{_PER_PERIOD * last:g} Hz or more, or end the band at {self.rate / _PER_PERIOD:g} Hz"
             )
         if wrong:

@@ -40,7 +40,7 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
     """Return the inputs whose stroke stays below the limit even with half the damping, and a note on the others.
 
     Raises:
-        BadInput: none does.
+        BadInput: none is allowed.
     """
     reached = strokes(model, [d.voltage for d in drives], 1 / limits.rate)
     kept = [
@@ -50,25 +50,27 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
     ]
     if not kept:
         raise BadInput(
-            f"{limits.units.max_output} {limits.units.limit.text(limits.farthest)}: every drive is predicted to exceed "
-            f"it (the gentlest {limits.units.limit.text(reached.max(1).min(), 3)} with half the damping); lower "
-            f"{limits.units.max_input}"
+            f"{limits.units.max_output} {limits.units.limit.text(limits.farthest)}: every planned input is predicted "
+            f"to exceed it (the smallest reaches {limits.units.limit.text(reached.max(1).min(), 3)} with half the "
+            f"damping); lower {limits.units.max_input}"
         )
     out = len(drives) - len(kept)
-    return kept, (f"{out} of {len(drives)} drives left out: their predicted stroke exceeds the limit",) if out else ()
+    return kept, (
+        f"{out} of {len(drives)} inputs left out, because their predicted stroke exceeds the limit",
+    ) if out else ()
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
     """Choose the candidates (over frequency, swing and bias) that lower the expected error most under such inputs.
 
     Raises:
-        BadInput: a length shorter than one recording, or no drive within the stroke allowed.
+        BadInput: a length shorter than one recording, or no input within the allowed stroke.
     """
     # of one length, so that the gains of candidates can be compared
     one = max(limits.shortest, min(length, default_duration(limits, fresh=False) / FEWEST))
     count = int(length / one * (1 + 1e-9))
     if count < 1:
-        raise BadInput(f"--duration {length:g} s is too short: one recording takes {limits.shortest:.3g} s")
+        raise BadInput(f"--duration {length:g} s is too short; one recording takes {limits.shortest:.3g} s")
     points = space_filling(_CANDIDATES * POINTS, limits, seed)
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)

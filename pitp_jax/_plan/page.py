@@ -18,8 +18,8 @@ def page(plan: Plan, model: str = "") -> str:
     """Return the plan as a self-contained HTML page.
 
     Args:
-        plan: of `plan`.
-        model: file of the model it is for; empty for a first session.
+        plan: result of `plan`.
+        model: file of its model; empty for a first session.
     """
     title = headline(plan, bool(model))
     parts = [
@@ -37,20 +37,20 @@ def page(plan: Plan, model: str = "") -> str:
 def headline(plan: Plan, modelled: bool) -> str:
     """Return the plan in one line."""
     if plan.stop:
-        return "Stop: another recording would not lower the error visibly"
+        return "Stop: another recording would not lower the error noticeably"
     what = "more recordings" if modelled else "recordings"
-    return f"{len(plan.recordings)} {what}, {figure(plan.seconds)} s of drive"
+    return f"{len(plan.recordings)} {what}, {figure(plan.seconds)} s of input"
 
 
 def _lead(plan: Plan) -> str:
     if not plan.expected:
         rest = f"0 {plan.limits.units.input.unit}"
-        return f"Play the files in the order of their numbers: small ones first, each from {rest} back to {rest}."
+        return f"Play the files in the order of their numbers, small ones first. Each starts and ends at {rest}."
     before, after = plan.expected[0], plan.expected[-1]
     if not plan.recordings:
-        return f"On drives not recorded yet the model is expected to be off by {figure(before, 2)} % of range."
+        return f"On inputs not recorded yet, the expected error of the model is {figure(before, 2)} % of range."
     return (
-        f"On drives not recorded yet the model is expected to be off by {figure(before, 2)} % of range now and "
+        f"On inputs not recorded yet, the expected error of the model is {figure(before, 2)} % of range now and "
         f"{figure(after, 2)} % after these recordings (noise not counted)."
     )
 
@@ -76,7 +76,7 @@ def _table(plan: Plan) -> str:
     header = (
         "recording", "kind", "length (s)", "rest (s)", f"largest ({drive.unit})", f"steepest ({drive.rate})",
         f"stroke ({stroke.unit})", f"with half the damping ({stroke.unit})",
-        "play it if the stroke so far is below", "what it is for",
+        "play only if no earlier stroke exceeded", "purpose",
     )  # fmt: skip
     rows = [
         ("", (
@@ -107,19 +107,19 @@ def _reading(plan: Plan) -> list[str]:
     drive = plan.limits.units.input.unit
     texts = [
         f"Every file holds time_s and {column_name('voltage', drive)} at the rate above, starts and ends at 0 {drive}, "
-        f"and keeps the slew between its samples. Record the {plan.limits.units.output_word} beside it; let the "
-        f"actuator rest at 0 {drive} between two files."
+        f"and keeps the slew limit between its samples. Record the {plan.limits.units.output_word} with it, and let "
+        f"the actuator rest at 0 {drive} between two files."
     ]
     if any(r.go_on < np.inf for r in plan.recordings):
         texts.append(
-            "A stroke grows by the square of the voltage, more near a resonance: what a row says holds for any of a "
-            f"damping ratio of {LEAST_DAMPING:g} or more. {REACHED}"
+            "A stroke grows with the square of the voltage, and more near a resonance. The limits in the table hold "
+            f"for every resonance with a damping ratio of {LEAST_DAMPING:g} or more. {REACHED}"
         )
     if plan.expected:
         texts.append(
-            "The expected error is that of free runs under drives that fill frequency, swing and bias, from the "
-            "model's sensitivity to its trained numbers and from what it leaves of its records (Laplace). Recordings "
-            "are chosen one after another, each the one that lowers it most; the plan ends where the next would lower "
-            "the measured error by less than 1 %."
+            "The expected error is that of free runs under inputs that cover frequency, amplitude and bias. It "
+            "follows from the model's sensitivity to its trained parameters and from its residual on its recordings "
+            "(Laplace approximation). Recordings are chosen one by one, each time the one that lowers this error "
+            "most. The plan ends when the next one would lower the measured error by less than 1 %."
         )
     return texts

@@ -12,23 +12,24 @@ import numpy as np
 
 from .._errors import BadInput
 from .._model.encoder import ConstantEncoder
-from .._model.fitted import Fitted, model_of
+from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.units import units_of
+from .._record.excited import unexcited
 from .._record.record import Record
 from .._record.sets import check_set
 from .._shown import Shown
 from .._table.quantity import Units
 from .drives import Planned
-from .first_session import default_duration, first_session, in_order, space_filling_set
+from .first_session import FEWEST, POINTS, default_duration, drive, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
 from .next_recordings import bearable, following, ranked
 from .rests import first_rest, rest_after
 
 REACHED = (
-    "If the largest stroke so far is above what a recording asks for, leave it out and try the next. When none is "
-    "left, identify a model on what was recorded and plan with it: it knows the stroke of every drive and proposes "
-    "those that stay below the limit."
+    "If the largest stroke so far is above the limit of a recording, leave that recording out and try the next. When "
+    "none is left, identify a model on the recordings made so far and plan with it: it predicts the stroke of every "
+    "input and proposes those within the limit."
 )
 _LONG = 60.0  # s; a longer recording is reported if the slew limit causes it
 _BAND = (0.05, 1.3)  # of a model's resonance, if no band is given
@@ -39,12 +40,12 @@ class Plan(Shown):
     """Recordings to take, and the error expected after them.
 
     Attributes:
-        recordings: to take, in this order; existing ones all, the best first.
-        limits: what they keep.
-        expected: error on drives not recorded yet, % of range, noise not counted: before, and after each recording;
-            empty without a trained model.
+        recordings: to take, in this order; if existing, all of them, the best first.
+        limits: their limits.
+        expected: error on inputs not recorded yet, % of range, without noise: before, and after each recording except
+            that of untrained frequencies, which comes first; empty without a trained model.
         stop: whether no recording would lower the error visibly.
-        notes: what was left out, and why.
+        notes: what was left out, with reasons.
     """
 
     recordings: tuple[Planned, ...]
@@ -100,25 +101,25 @@ def plan(
 
     Args:
         model: identified or trained; None for a first session.
-        records: taken so far, those the model was trained on.
-        max_voltage: V; default what the model has seen.
-        max_slew: V/s; default what the model has seen, else the band's own at that voltage.
-        max_displacement: m from 0 V either way.
-        band: lowest and highest drive frequency in Hz; default 0.05 to 1.3 times the model's resonance.
-        duration: seconds of drive in all recordings together, rests not counted.
-        rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, without a
-            model by a damping of 0.05.
-        rate: samples per second; default the model's, else a hundred a period of the highest frequency.
-        choose_from: existing recordings to choose among instead; their output is not looked at.
+        records: taken so far, on which the model was trained.
+        max_voltage: V; default the largest of the training records.
+        max_slew: V/s; default the largest of the training records, otherwise that of the band at this voltage.
+        max_displacement: m from the position at 0 V in both directions.
+        band: lowest and highest input frequency in Hz; default 0.05 to 1.3 times the model's resonance.
+        duration: seconds of all recordings together, without rests.
+        rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, or,
+            without a model, for a damping of 0.05.
+        rate: samples per second; default the model's, otherwise a hundred per period of the highest frequency.
+        choose_from: existing recordings to choose from instead; their output is not used.
         alternate: play every second recording with negative voltage (a bipolar amplifier).
         seed: of the space-filling points.
-        units: in which files and texts name input and output; default the model's, V and m of a first session.
+        units: of input and output in files and texts; default the model's, otherwise V and m.
 
     Raises:
         BadInput: limits that are missing or cannot be met.
 
     Returns:
-        the recordings in the order of playing, each with its voltage and what it is for.
+        the recordings in the order of playing, each with its voltage and purpose.
 
     Examples:
         >>> session = pitp.plan(max_voltage=3000.0, band=(0.5, 5.0), duration=60.0)
@@ -126,26 +127,52 @@ def plan(
         True
     """
     units = units or (Units() if model is None else units_of(model))
-    model = None if model is None else model_of(model)
+    fitted = None if model is None else fitted_of(model)
+    model = None if fitted is None else fitted.model
     if records:
         check_set(records)
     if choose_from:
         return _ranking(model, records, choose_from, duration, units)
     limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units)
     length = duration or default_duration(limits, fresh=model is None)
-    if model is None:
+    if model is None or fitted is None:
         return _played(first_session(limits, length, seed), limits, alternate)
     recorded = max(map(_stroke, records), default=0.0)
+    first, length, notes = _missing(fitted, limits, length)
+    if first and length < limits.shortest:
+        return _played(first, limits, alternate, recorded, notes=notes)
     if not trained(model):  # a linear model predicts strokes, but not its own errors
-        filling, notes = bearable(model, space_filling_set(limits, length, seed), limits)
-        return _played(filling, limits, alternate, recorded, notes=notes)
+        filling, more = bearable(model, space_filling_set(limits, length, seed), limits)
+        return _played([*first, *filling], limits, alternate, recorded, notes=notes + more)
+    if not records and first:
+        return _played(first, limits, alternate, recorded, notes=notes)
     if not records:
-        raise BadInput("a trained model says what it lacks only beside the records it was trained on: give them too")
-    chosen, notes = following(model, records, limits, length, seed), ()
+        raise BadInput("planning for a trained model needs the recordings it was trained on; give them too")
+    chosen = following(model, records, limits, length, seed)
     if 0 < chosen.worth < len(chosen.recordings):
-        notes = ("after these another recording would not lower the error visibly",)
+        notes += ("after these, another recording would not lower the error noticeably",)
     taken, expected = chosen.recordings[: chosen.worth], chosen.expected[: chosen.worth + 1]
-    return _played(taken, limits, alternate, recorded, expected=expected, stop=not taken, notes=chosen.notes + notes)
+    taken, stop = [*first, *taken], not taken and not first
+    return _played(taken, limits, alternate, recorded, expected=expected, stop=stop, notes=chosen.notes + notes)
+
+
+def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planned], float, tuple[str, ...]]:
+    """Plan a recording of the untrained frequencies within these limits; return it, the remaining seconds and notes."""
+    swing, resonance = (limits.high - limits.low) / 2, fitted.model.natural_frequency / (2 * np.pi)
+    band = unexcited(
+        fitted.origin.excited_input, limits.band, lambda hz: min(swing, limits.slew / (2 * np.pi * hz)), resonance
+    )
+    if band is None:
+        return [], length, ()
+    seconds = min(max(limits.shortest, length / FEWEST), length)
+    points = [[hz, limits.low, limits.high] for hz in np.geomspace(*band, POINTS)]
+    purpose = f"{band[0]:.3g} to {band[1]:.3g} Hz, where the model was not trained at this amplitude"
+    wanted = replace(drive(np.array(points), seconds, limits), purpose=purpose)
+    try:
+        first, _ = bearable(fitted.model, [wanted], limits)
+    except BadInput:
+        return [], length, (f"left out: {purpose}; its predicted stroke exceeds the limit",)
+    return first, length - seconds, ()
 
 
 def _stroke(record: Record) -> float:
@@ -155,7 +182,7 @@ def _stroke(record: Record) -> float:
 
 
 def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
-    """Number the recordings; negate every second voltage if asked for and the force stays the same."""
+    """Number the recordings; negate every second voltage if requested and the force stays the same."""
     # From 0 V up the input is squared; otherwise a negated voltage is a different input.
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
@@ -186,7 +213,7 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
         BadInput: no trained model, or none of its records.
     """
     if model is None or not trained(model) or not records:
-        raise BadInput("--choose-from needs a trained model and the records it was trained on")
+        raise BadInput("--choose-from needs a trained model and the recordings it was trained on")
     check_set([*records, *others])
     best, dt = ranked(model, records, others, duration), others[0].dt
     played = [r.voltage for r in best.recordings]
@@ -195,7 +222,7 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
     limits = Limits(
         low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0, units
     )
-    worth = f"the first {best.worth} of {len(played)} would lower the error visibly"
+    worth = f"the first {best.worth} of {len(played)} would lower the error noticeably"
     return Plan(best.recordings, limits, best.expected, best.worth == 0, (worth,))
 
 
@@ -212,7 +239,9 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
     """
     missing = [name for name, value in ((units.max_input, max_voltage), ("--band", band)) if value is None]
     if model is None and missing:
-        raise BadInput(f"a first session needs {' and '.join(missing)}: what the amplifier and the membrane bear")
+        raise BadInput(
+            f"a first session needs {' and '.join(missing)}; give the limits of the amplifier and the membrane"
+        )
     low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
     one_sided = model is None or model.input_map.one_sided
     # behind a square a negative voltage gives the same force as a positive one

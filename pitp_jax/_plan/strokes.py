@@ -69,18 +69,19 @@ def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: flo
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Return by how much each input may exceed all strokes before it at worst (damping 0.01), shape (voltages,).
+    """Return the largest possible ratio of each input's stroke to all before it (damping 0.01), shape (voltages,).
 
     Args:
         voltages: V, in the order of playing.
         dt: sampling interval, s.
-        band: where the resonance may be, Hz; one a half above it is tried as well.
+        band: possible range of the resonance, Hz; resonances up to 50 % above it are also tried.
     """
     forces = [u * u for u in voltages]
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
     # a resonance of damping 0.01 is narrower than the grid, so an input's own line could miss it
     places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))
-    reached = np.array([[_stroke(f, hz, dt) for hz in places] for f in forces])
+    filters = [_sampled(hz, dt) for hz in places]
+    reached = np.array([[np.abs(lfilter(b, a, f)).max() for b, a in filters] for f in forces])
     before = np.maximum.accumulate(reached, 0)[:-1]
     static = np.array([f.max() for f in forces])  # a resonance far above the band
     ratio = (reached[1:] / before).max(1)
@@ -96,8 +97,9 @@ def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarra
     return hz[peaks[np.argsort(size[peaks])[-_LINES:]]]
 
 
-def _stroke(force: np.ndarray, hz: float, dt: float) -> float:
+def _sampled(hz: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return numerator and denominator of a sampled resonance of unit static gain and damping 0.01, linear hold."""
     w = 2 * np.pi * hz
     sampled = cont2discrete(([w * w], [1, 2 * LEAST_DAMPING * w, w * w]), dt, method="foh")
     b, a = (np.ravel(np.asarray(part)) for part in sampled[:2])  # pyright: ignore[reportIndexIssue]
-    return float(np.abs(lfilter(b, a, force)).max())
+    return b, a

@@ -68,14 +68,14 @@ class Plant:
     """A virtual actuator: the constants of the equations of motion above, and of its sensor.
 
     Attributes:
-        name: the name `plant` knows it by.
+        name: its name in `plant`.
         rate_hz: sampling rate of the paper's experiment in Hz.
         mass: moved mass m in kg.
         max_voltage: rating in V; the equations are well-behaved up to it.
         noise_std: standard deviation of the sensor noise in m.
         sensor_range: the sensor reads -sensor_range ... +sensor_range (m) in 16 bit.
         scale: a typical displacement in m; the integration works in multiples of it.
-        geometry: how the stretch follows from the displacement.
+        geometry: relation between stretch and displacement.
         prestretch: p, in both directions of the plane.
         spring: K = shear modulus times volume of elastomer, in J.
         limit: Gent's limit J of I.

@@ -75,14 +75,14 @@ def plant(name: str) -> Plant:
         its parameters.
 
     Raises:
-        ValueError: no such plant; the message lists those there are.
+        ValueError: no such plant; the message lists all plants.
 
     Examples:
         >>> pitp.plant("roll").rate_hz
         5000.0
     """
     if name not in _PLANTS:
-        raise ValueError(f"no virtual actuator {name!r}; there are {', '.join(_PLANTS)}")
+        raise ValueError(f"unknown virtual actuator {name!r}; use one of {', '.join(_PLANTS)}")
     return _PLANTS[name]
 
 
@@ -92,7 +92,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     Args:
         plant: the virtual actuator.
         time: uniform sample times in s, shape (T,).
-        voltage: drive voltage in V, shape (..., T); records of one length share one integration.
+        voltage: input voltage in V, shape (..., T); records of one length share one integration.
         hold: the voltage between samples: "foh" linear, "zoh" held from each sample to the next.
         method: "fixed" Runge-Kutta steps between samples, or "adaptive" (Dopri8, slower, the reference).
 
@@ -123,7 +123,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
     # beyond it the Gent spring would change its sign and the motion would be meaningless; nan fails too
     if not (plant.rest_position + x < plant.last_position).all():
         raise ComputationFailed(
-            f"{plant.name} left the range of its spring: keep the voltage below {plant.max_voltage:g} V"
+            f"{plant.name} moved beyond the range of its spring; keep the voltage below {plant.max_voltage:g} V"
         )
     return x.reshape(voltage.shape)
 
@@ -202,4 +202,4 @@ def _interval(time, voltage) -> float:
 def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
     """Refuse an unknown option."""
     if value not in known:
-        raise ValueError(f"no {what} {value!r}; there are {', '.join(known)}")
+        raise ValueError(f"unknown {what} {value!r}; use one of {', '.join(known)}")

@@ -37,13 +37,13 @@ def check_samples(
 
     Args:
         time: sample times in s, shape (T,).
-        voltage: drive in V, shape (T,).
+        voltage: input in V, shape (T,).
         displacement: output in m or V, shape (T,); nan where missing.
         source: file or record, for the message.
         columns: names of the three columns, for the message.
-        place: turns a sample index (from 0) into words, for the message (`sample 7 (line 9)`).
+        place: converts a sample index (from 0) to words, for the message (`sample 7 (line 9)`).
         uniform: whether the times must be uniform already.
-        least: how many samples are needed.
+        least: required number of samples.
 
     Raises:
         BadInput: shapes differ, fewer than 64 samples, infinite values, missing input or time, no output at
@@ -55,19 +55,19 @@ def check_samples(
         bad = np.isinf(values)
         if bad.any():
             problems.append(
-                f"column {column!r}, {place(_first(bad))}: infinite value; correct it or cut it out"
+                f"column {column!r}, {place(_first(bad))}: infinite value; correct it or delete the row"
                 + (" (an empty cell or nan marks a missing output)" if values is displacement else "")
             )
     missing = np.isnan(voltage)
     if missing.any():
         problems.append(
             f"column {columns[1]!r}, {place(_first(missing))}: the input is missing "
-            f"({int(missing.sum())} of {len(voltage)} samples); split the record into files without the gap"
+            f"({int(missing.sum())} of {len(voltage)} samples); split the recording into files without the gap"
         )
     if np.isnan(displacement).all():
         problems.append(
             f"column {columns[2]!r}, {place(0)} to {len(displacement) - 1}: every output sample is "
-            "missing; leave this record out or pick another column with --output-column"
+            "missing; leave this recording out, or choose another column with --output-column"
         )
     # an infinite time was reported above
     if not np.isinf(time).any():
@@ -97,7 +97,7 @@ def check_wanted(
     if missing.any():
         raise BadInput(
             f"{source}: column {columns[1]!r}, {place(_first(missing))}: the target is missing "
-            f"({int(missing.sum())} of {len(wanted)} samples); fill the gap, a target needs every sample"
+            f"({int(missing.sum())} of {len(wanted)} samples); fill the gap, because a target needs every sample"
         )
 
 
@@ -109,20 +109,20 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
     for values, column in zip(arrays, columns, strict=True):
         if values.ndim != 1:
             raise BadInput(
-                f"{source}: column {column!r}, sample 0: shape {values.shape} is not one value per sample; "
-                "store it as a vector"
+                f"{source}: column {column!r}, sample 0: the shape is {values.shape}, not one value per sample; store "
+                "it as a vector"
             )
         if len(values) != len(arrays[0]):
             raise BadInput(
-                f"{source}: column {column!r}, sample {min(len(values), len(arrays[0]))}: {len(values)} "
-                f"samples where {columns[0]!r} has {len(arrays[0])}; store columns of equal length"
+                f"{source}: column {column!r}, sample {min(len(values), len(arrays[0]))}: {len(values)} samples, but "
+                f"{columns[0]!r} has {len(arrays[0])}; store columns of equal length"
             )
     count = len(arrays[0])
     if count < least:
         end = f"ends after sample {count - 1}" if count else "no samples"
         raise BadInput(
-            f"{source}: column {columns[0]!r}: {end}, {count} in all; at least {least} are "
-            "needed, record more or leave it out"
+            f"{source}: column {columns[0]!r}: {end}, {count} in all; at least {least} are needed, so record more or "
+            "leave it out"
         )
 
 
@@ -131,13 +131,14 @@ def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[in
     missing = np.isnan(time)
     if missing.any():
         raise BadInput(
-            f"{source}: column {column!r}, {place(_first(missing))}: the time is missing; fill it in or "
-            "split the record there"
+            f"{source}: column {column!r}, {place(_first(missing))}: the time is missing; fill it in or split the "
+            "recording there"
         )
     far = np.abs(time) > LATEST
     if far.any():
         raise BadInput(
-            f"{source}: column {column!r}, {place(_first(far))}: {time[far][0]:.4g} s is no time; correct it, or give "
+            f"{source}: column {column!r}, {place(_first(far))}: {time[far][0]:.4g} s is not a possible time; correct "
+            "it, or give "
             "--time-unit"
         )
 
@@ -172,8 +173,8 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
         at = _first(steps < 0 if (steps < 0).any() else steps <= 0) + 1
         how = "decreases" if steps[at - 1] < 0 else "repeats"
         raise BadInput(
-            f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then "
-            f"{time[at]:.9g} s); sort or split the record there"
+            f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then {time[at]:.9g} s); "
+            "sort or split the recording there"
         )
     # the usual step, whatever a gap adds
     typical, offset = float(np.median(steps)), _grid_offset(time)
@@ -181,9 +182,9 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
     # drift has no jump: then the sample farthest from the grid
     at = _first(jumps) + 1 if jumps.any() else int(np.argmax(offset))
     raise BadInput(
-        f"{source}: column {column!r}, {place(at)}: time is not uniform (step "
-        f"{steps[max(at - 1, 0)]:.6g} s where {typical:.6g} s is usual, off the grid by up to "
-        f"{offset.max():.2g} samples); split the record at the gap or resample it"
+        f"{source}: column {column!r}, {place(at)}: time is not uniform (step {steps[max(at - 1, 0)]:.6g} s instead "
+        f"of {typical:.6g} s, up to {offset.max():.2g} samples off the grid); split the recording at the gap or "
+        "resample it"
     )
 
 
@@ -202,8 +203,8 @@ def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
 def _grid_offset(time: np.ndarray) -> np.ndarray:
     """Return the distance of every time from the best uniform grid, in samples, shape (T,).
 
-    The grid is fitted by least squares; where that is not within the tolerance but near it, by the smallest
-    largest distance, so that jitter of up to 1 % about any uniform grid passes.
+    The grid is fitted by least squares. If that slightly exceeds the tolerance, the largest distance is minimised, so
+    that jitter of up to 1 % about any uniform grid passes.
     """
     index = np.arange(len(time))
     start, dt = line(index, time)

@@ -32,7 +32,7 @@ class Excitation:
     """A voltage over time that can be played.
 
     Attributes:
-        name: what a record of it would be called.
+        name: for its record.
         time: sample times in s from 0, shape (T,).
         voltage: in V, shape (T,).
     """
@@ -127,7 +127,9 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
         ValueError: unknown actuator or part.
     """
     if actuator not in _PROTOCOLS or part not in SETS:
-        raise ValueError(f"no protocol {actuator!r} {part!r}; take one of {tuple(_PROTOCOLS)} and one of {SETS}")
+        raise ValueError(
+            f"there is no protocol {actuator!r} {part!r}; choose one of {tuple(_PROTOCOLS)} and one of {SETS}"
+        )
     numbers = _PROTOCOLS[actuator]
     edges = {"rise": rise, "rest_s": rest_s}
     if part == "sweep":

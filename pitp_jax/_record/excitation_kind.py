@@ -101,7 +101,7 @@ def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
 
 
 def loudest(record: Record) -> float:
-    """Return the strongest line of the input, Hz."""
+    """Return the frequency of the strongest line of the input, Hz."""
     return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
 
 
@@ -132,7 +132,7 @@ def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
 
 
 def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int) -> list[int]:
-    """Return `count` of these places, spread evenly over the rank of the line, neighbours with different strength."""
+    """Return `count` of these places, evenly distributed in frequency rank and mixed in strength."""
     unused = list(places)
     for j in range(count):
         wanted = (j + 0.5) / count, (j * _GOLDEN) % 1.0

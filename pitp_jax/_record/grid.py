@@ -54,14 +54,14 @@ class Gridded:
     """A record on its grid.
 
     Attributes:
-        pieces: in order, one where no gap is too long.
+        pieces: in order; one piece if no gap is too long.
         jitter: largest distance of a time from the grid, in samples; 0 after resampling.
-        rows: what was read.
+        rows: the rows as read.
         dropped: samples of pieces too short to use, or without any output.
-        packets: whether the stamps are those of arrival.
+        packets: whether the stamps are arrival times.
         steps: shortest and longest step in s of a clock that was resampled, or None.
         uneven: whether that clock was uneven.
-        bridged: output samples masked since they would be interpolated across more than a few rows.
+        bridged: output samples masked because they would be interpolated across more than a few rows.
     """
 
     pieces: tuple[Piece, ...]
@@ -96,7 +96,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
-        rate: samples per second of the grid, where the user states it.
+        rate: samples per second of the grid, if the user states it.
 
     Raises:
         BadInput: time repeats or contradicts the signals, or too few rows remain.
@@ -137,12 +137,12 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
     if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
         at = int(np.argmax(np.diff(rows.time) == 0)) + 1
         raise BadInput(
-            f"{source}: column {column!r}, {place(at)}: time repeats, and so it does in most rows; give --rate HZ"
+            f"{source}: column {column!r}, {place(at)}: most rows repeat the time of the row before; give --rate HZ"
         )
     if evenness(single) > _CONTRADICTED:
         raise BadInput(
-            f"{source}: column {column!r}: the time is not uniform, but input and output continue from row to row as "
-            "if they were sampled evenly; give --rate HZ"
+            f"{source}: column {column!r}: the time is not uniform, but input and output are smooth from row to row, "
+            "as if sampled evenly; give --rate HZ"
         )
     return single
 
@@ -150,7 +150,7 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
 def _grid(rows: Rows) -> _Line | None:
     """Return the places on the grid of an even clock, or None.
 
-    Lost samples must explain the times better than no losses, because one wrong time would shift all that follow.
+    Lost samples must explain the times better than no losses, because one wrong time would shift all later ones.
     """
     time = rows.time
     steps = np.diff(time)
@@ -159,7 +159,8 @@ def _grid(rows: Rows) -> _Line | None:
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # 2.0 usual steps: one sample was lost
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
-    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if moves.sum() < 2**53 else [index]
+    lost = len(steps) < moves.sum() < 2**53
+    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if lost else [index]
     # One row lost in the middle of a long record stays within half a sample of a straight line, so both are tried.
     lines = [_fitted(trial, time) for trial in trials]
     fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]
@@ -183,7 +184,7 @@ def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
 def _packets(rows: Rows) -> _Line | None:
     """Return the places of rows that were sampled evenly and stamped when their packet came, or None.
 
-    The signals decide between even rows and true stamps. If they do not, crowded stamps are those of packets.
+    The signals decide between even rows and true stamps. If they cannot, crowded stamps count as packets.
     """
     time = rows.time
     steps, mean = np.diff(time), np.ptp(time) / (len(time) - 1)
@@ -204,7 +205,7 @@ def _packets(rows: Rows) -> _Line | None:
 
 
 def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
-    """Return the rows on the grid that was found."""
+    """Return the rows placed on this grid."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
     lost, jitter = np.diff(index) - 1, float(found.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
@@ -226,7 +227,7 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
         dt: step of the grid in s: a stretch needs 64 rows and 64 such steps.
 
     Raises:
-        BadInput: less than half of the rows are in one.
+        BadInput: the stretches contain less than half of the rows.
     """
     count, kept = len(rows.time), []
     least = min(MIN_SAMPLES, count)  # a voltage to be played may have fewer rows
@@ -237,8 +238,8 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
     dropped = count - sum(part.stop - part.start for part in kept)
     if 2 * dropped > count or not kept:
         raise BadInput(
-            f"{source}: column {column!r}: split at its {len(cuts)} gaps less than half of the rows are in stretches "
-            f"of {MIN_SAMPLES} samples; record without gaps"
+            f"{source}: column {column!r}: {len(cuts)} gaps leave less than half of the rows in pieces of at least "
+            f"{MIN_SAMPLES} samples; record without gaps"
         )
     return kept, dropped
 
@@ -299,14 +300,14 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
     ends, bridged = (float(steps.min()), float(steps.max())), sum(count for _, count in made)
     if 2 * bridged > sum(len(piece.time) for piece, _ in made):
         raise BadInput(
-            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too uneven to resample; "
+            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too irregular to resample; "
             "give --rate HZ if the rows were sampled evenly"
         )
     return Gridded(tuple(piece for piece, _ in made), 0.0, rows, dropped, steps=ends, bridged=bridged)
 
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
-    """Return one stretch at steps of dt, and how many output samples are masked in gaps of the output."""
+    """Return one stretch interpolated at steps of dt, and the number of output samples masked in gaps."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)

@@ -36,10 +36,10 @@ class Beginning:
     Attributes:
         begins: "rest" (x = 0, uncharged), "held" (settled at u(0)) or "moving".
         direction: +1 or -1.
-        zero: the sensor's, output unit.
-        stderr: of the zero.
-        group: records of a set with the same number share one zero.
-        free: whether the zero is fitted with the rest (`zero` is then where the fit starts).
+        zero: sensor offset, output unit.
+        stderr: of the offset.
+        group: records of a set with the same number share one offset.
+        free: whether the offset is fitted as well (`zero` is then its initial value).
     """
 
     begins: Begins
@@ -75,8 +75,8 @@ def _rounding(displacement: np.ndarray) -> float:
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
     """Return the records that move beyond their noise, and a line with the names of the others.
 
-    Errors are relative to the range, which is only noise for an actuator at rest. In a diagnosis one such record had
-    an error floor of 14 % and hid a gap of 3 % in three sines beside it.
+    Errors are relative to the range, which is only noise for an actuator at rest. In a diagnosis one such record had an
+    error floor of 14 % and hid a gap of 3 % in three other sines.
 
     Raises:
         BadInput: none moves.
@@ -90,10 +90,13 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
         for r, w, d in zip(records, ranges, drives, strict=True)
     ]
     if not any(moves):
-        raise BadInput(f"{records[0].source or records[0].name}: no record moves; record the actuator under a drive")
+        raise BadInput(
+            f"{records[0].source or records[0].name}: no recording shows motion beyond its noise; record "
+            "the actuator under a changing input"
+        )
     still = [r.name for r, one in zip(records, moves, strict=True) if not one]
     moving = [r for r, one in zip(records, moves, strict=True) if one]
-    return moving, (f"left out, since they do not move beyond their noise: {', '.join(still)}",) if still else ()
+    return moving, (f"left out, because they show no motion beyond their noise: {', '.join(still)}",) if still else ()
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
@@ -102,11 +105,11 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
         y(s) ~ c_0 P_0(s) + ... + c_6 P_6(s),   s = -1 ... 1 over the window, P_k Legendre's polynomials
         y(-1) = sum_k<5 (-1)^k c_k,   y'(-1) = sum_k<5 (-1)^(k-1) k (k + 1) / 2 c_k;   the parts of c_5, c_6: their bias
 
-    A roll sampled at 5 kHz has turned by 2 rad in 12 samples, a cone at 10 kHz needs 200 to beat the noise, so every
-    window over which the fit leaves no more than the noise (or 0.1 % of range) gives its own estimate.
+    A roll sampled at 5 kHz advances by 2 rad in 12 samples; a cone at 10 kHz needs 200 samples to exceed the noise. So
+    every window with a residual within the noise (or 0.1 % of range) gives its own estimate.
 
     Returns:
-        values, standard errors: shape (windows, 2), at least one row; nan and inf where no window has the samples.
+        values, standard errors: shape (windows, 2), at least one row; nan and inf if no window has enough samples.
     """
     span = record.span
     noise = min(noise_std(record.displacement), 0.01 * span)
@@ -138,8 +141,8 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
 def is_still(record: Record, omega: float) -> bool:
     """Return whether the first sample is known and its velocity zero, within 4 standard errors and 0.01 omega * range.
 
-    v / omega is what the velocity still moves a mode of that frequency: of a motion that is cut somewhere, one in 80 is
-    as slow, at any sampling rate.
+    v / omega is the displacement that the velocity still causes in a mode of that frequency. One in 80 randomly cut
+    motions is as slow, at any sampling rate.
 
     Args:
         record: in base units.
@@ -154,7 +157,7 @@ def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
 
     Args:
         record: in base units.
-        offset: the sensor's zero, output unit.
+        offset: sensor offset, output unit.
         omega: of the dominant mode, rad/s.
     """
     (y, v), (y_error, v_error), span = _sharpest(record)
@@ -172,7 +175,7 @@ def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
 def standing_drive(record: Record) -> tuple[int, float]:
     """Return how many first samples have a constant input, and its level (V); exactly 0 if within its noise.
 
-    It stands within 0.1 % of its range, or within six of its noise floors (of a monitor), 2 % at most.
+    It is constant within 0.1 % of its range, or within six noise deviations (of a monitor), at most 2 %.
     """
     noise, span = noise_std(record.voltage), float(np.ptp(record.voltage))
     moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
@@ -238,9 +241,9 @@ def aligned(record: Record, beginning: Beginning, output) -> Record:
 def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, float]]:
     """Group records at rest by their common offset, most common first: indices, offset and its standard error.
 
-    A level comes from the longest beginning whose misfit hides in the noise (`rest_level`). What hides can still bend
-    the level by about a standard error (measured: rms 1 to 2, as the window happens to stop), so errors are widened by
-    half; levels within 4 of them and 0.2 % of the range are one zero.
+    A level comes from the longest initial window whose misfit is within the noise (`rest_level`). This misfit can still
+    shift the level by about a standard error (measured: rms 1 to 2), so errors are increased by half. Levels within 4
+    of them and 0.2 % of the range are one offset.
     """
     levels = np.array([rest_level(r) for r in records]).reshape(-1, 2)
     spans = np.array([r.span for r in records])
@@ -264,13 +267,13 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
 def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, float]:
     """Return the first value of a record that starts at rest, and its standard error.
 
-    Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window, from 12 samples doubled as often as the
-    fit leaves no more than the noise: a sweep's slow beginning gives thousands of samples.
+    Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window: 12 samples, doubled while the residual
+    is within the noise. A sweep's slow beginning gives thousands of samples.
 
     Args:
         record: in base units.
-        left: what a model leaves of it, shape (T,), 0 where missing. A level over few samples goes along with slow
-            noise, which they do not show: the error is at least what the same window makes of `left`, rms over places.
+        left: residual of a model, shape (T,), 0 where missing. Few samples do not show slow noise in their level, so
+            the error is at least the rms level of such windows over `left`.
     """
     noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
     rounding = _rounding(record.displacement)

@@ -25,8 +25,8 @@ class LongRecord:
     """A thinned record in base units, with the sensor's offset and direction unchanged.
 
     Attributes:
-        dt: sampling interval of the record as it was, s.
-        step: every how many of its samples are kept.
+        dt: sampling interval of the original record, s.
+        step: every `step`-th sample is kept.
         rest: whether it starts from rest.
         voltage, displacement: float32, in V and m (or V), nan where the output is missing; shape (kept,).
     """
@@ -68,7 +68,7 @@ class LongRecord:
 def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     """Return a record (or its first part) thinned; None if nothing happens in it.
 
-    `force`: the equation's drive (V^2 or V), shape (T,).
+    `force`: input of the equation (V^2 or V), shape (T,).
     """
     if record.samples > _READ:
         time, voltage, displacement = (a[:_READ] for a in (record.time, record.voltage, record.displacement))
@@ -92,5 +92,5 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
-    """Low-pass about the line between the ends; otherwise a sensor offset of 50 mm would read 26 mm at either end."""
+    """Low-pass a signal about the line between its ends, because an offset would distort both ends."""
     return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")

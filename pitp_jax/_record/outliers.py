@@ -37,12 +37,12 @@ class Masked:
         displacement: nan where masked, shape (T,).
         outliers: samples masked as spikes or dropouts.
         clipped: samples masked at a limit value.
-        largest: the value farthest off among the outliers, in the output's unit; nan where there is none.
-        limit: the value it was clipped at, or that `unseen` samples have; nan where there is none.
-        unseen: samples off scale that are kept, since they are more than half.
-        held: samples that repeat one value while the drive moves and then jump, of a sensor that repeats values
-            elsewhere, or that keep it for long: they stay, since it may be stiction.
-        turns: whole turns that were removed from the input and from the output before.
+        largest: the most distant outlier, in the output's unit; nan without one.
+        limit: the value at which it was clipped, or that of `unseen` samples; nan without one.
+        unseen: off-scale samples that are kept, because they are more than half.
+        held: samples that repeat one value while the input moves and then jump. They are kept, because they may be
+            stiction.
+        turns: whole turns removed earlier from the input and the output.
     """
 
     displacement: np.ndarray
@@ -60,7 +60,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 
     Args:
         displacement: output, shape (T,); nan where missing.
-        voltage: drive, shape (T,).
+        voltage: input, shape (T,).
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     y = displacement[seen]
@@ -95,7 +95,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
     """Return the samples at a value at which other records of the same sensor are clipped, and that value (or nan).
 
-    A sensor has one limit, so a limit found in one record holds for records whose own runs would not prove it.
+    A sensor has one limit, so a limit found in one record applies to records that cannot show it alone.
 
     Args:
         displacement: output, shape (T,); nan where missing.
@@ -127,15 +127,17 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
         count = len(y) - run - 5
         if count <= 0:
             break
-        # three samples before the run and three after it, for every place at once
-        a, b, c, d, e, f = (y[k : k + count] for k in (0, 1, 2, run + 3, run + 4, run + 5))
+        # only where the first sample of the run is that far off its chord: few places
+        before, after = y[2 : 2 + count], y[run + 3 : run + 3 + count]
+        at = np.flatnonzero(np.abs(y[3 : 3 + count] - before - (after - before) / (run + 1)) > _FAR * step)
+        # three samples before the run and three after it, for every such place at once
+        a, b, c, d, e, f = (y[at + k] for k in (0, 1, 2, run + 3, run + 4, run + 5))
         local = np.maximum.reduce([np.abs(p - q) for p, q in ((a, b), (b, c), (c, d), (d, e), (e, f))])
         bound = _FAR * np.maximum(local, step)
-        off = [y[3 + k : 3 + k + count] - c - (d - c) * (k + 1) / (run + 1) for k in range(run)]
-        far = np.minimum.reduce(off) > bound
-        far |= np.maximum.reduce(off) < -bound
+        off = [y[at + 3 + k] - c - (d - c) * (k + 1) / (run + 1) for k in range(run)]
+        far = (np.minimum.reduce(off) > bound) | (np.maximum.reduce(off) < -bound)
         for k in range(run):
-            bad[3 + k : 3 + k + count] |= far
+            bad[at[far] + 3 + k] = True
     return bad
 
 
@@ -179,16 +181,19 @@ def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, n
     """Return runs of one value under a moving input: dropouts, and runs that may be stiction.
 
     A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
-    everywhere else, at rest too. Of any other sensor a value that is held and then left by a jump may be stiction; so
-    may all runs that together are more than a tenth of the record: a gear stands still at every reversal.
+    everywhere else, at rest too. For any other sensor a held value followed by a jump may be stiction. Runs that
+    together exceed a tenth of the record may also be stiction, because a gear stands still at every reversal.
 
     Returns:
         dropouts, possible stiction: True at their samples, shape (T,).
     """
     bad, kept, swing = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool), np.ptp(drive)
+    runs = _runs(y, _LONGEST_SPIKE + 1)
+    if not runs:
+        return bad, kept
     # when the input jumps at the end of a run, the settled machine responds late
     noise = 6 * noise_std(drive)
-    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
+    runs = [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
     inside = np.zeros(len(y) - 1, dtype=bool)
     for begin, end in runs:
         # steps within the runs do not characterise the sensor elsewhere
@@ -224,7 +229,7 @@ def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them.
 
     p is how often neighbours are equal away from these runs (a record at its limit for most of the time has a median
-    step of zero); a run of n has a chance of p^(n - 1), and counts where that is below 1e-6 in the record.
+    step of zero); a run of n has the probability p^(n - 1), and counts if that is below 1e-6 in the record.
     """
     bad = np.zeros(len(y), dtype=bool)
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)

@@ -30,7 +30,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
         place: turns a sample index into words.
 
     Raises:
-        BadInput: with both columns where both are.
+        BadInput: with the columns concerned.
     """
     problems = []
     for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):
@@ -56,11 +56,11 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
     seen = displacement[np.isfinite(displacement)]
     lines = []
     if unit == "m" and np.ptp(seen) > _LONG:
-        lines.append(f"moves by {np.ptp(seen):.3g} m: is the output's unit right?")
+        lines.append(f"moves by {np.ptp(seen):.3g} m; check the unit of the output")
     # the median equals the most common value, if one exists
     equal = float(np.mean(seen == np.median(seen)))
     if equal > _EQUAL:
-        lines.append(f"{100 * equal:.0f} % of its outputs are equal: does the sensor read?")
+        lines.append(f"{100 * equal:.0f} % of its outputs are equal; check that the sensor works")
     return lines
 
 
@@ -70,6 +70,6 @@ def monitor_warning(records: Sequence[Record]) -> str | None:
     if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None
     return (
-        f"the drive never exceeds {highest:.3g} V: if that is the amplifier's monitor (1 V per kV), give "
-        "--input-scale 1000"
+        f"the input never exceeds {highest:.3g} V; if it is the amplifier's monitor (1 V per kV), give --input-scale "
+        "1000"
     )

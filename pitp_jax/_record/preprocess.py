@@ -35,7 +35,7 @@ class StateRecord:
     Attributes:
         name: of the record.
         time: sample times in s, shape (T,).
-        force: filtered drive (u^2 or u) in the unit it was given in, shape (T,).
+        force: filtered force (u^2 or u) in its given unit, shape (T,).
         states: [x, x', ..., x^(n)] in m / s^i (or V / s^i), shape (T, n + 1); finite everywhere: where
             nothing was filtered, x is interpolated linearly and the derivatives are zero.
         valid: True where a sample may enter the loss, shape (T,).
@@ -58,7 +58,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
     Args:
         forces: one array per record, shapes (T_r,); each is taken about its own mean.
         dt: sampling interval in s.
-        share: of the energy.
+        share: fraction of the energy.
 
     Raises:
         BadInput: no force ever changes.
@@ -76,7 +76,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
     scale = sum(float(np.sum(np.square(force, dtype=np.float64))) for force in forces)
     # rounding of a constant force leaves some energy
     if not energy.sum() > 1e-20 * scale:
-        raise BadInput("the drive never changes in any of these records; give records with an excitation")
+        raise BadInput("the input never changes in these recordings; give recordings with an excitation")
     # records of other lengths have other frequencies: merged, then summed
     order = np.argsort(frequency, kind="stable")
     total = np.cumsum(energy[order])
@@ -115,15 +115,15 @@ def preprocess(
     """Filter a record and differentiate its output.
 
     Args:
-        record: what was measured.
+        record: the measured record.
         order: n, the highest derivative.
         cutoff_hz: filter cut-off in Hz, from `cutoff`.
-        force: the drive as the equation has it (u^2 or u), shape (T,).
+        force: input of the equation (u^2 or u), shape (T,).
         displacement: output already corrected for offset and polarity, shape (T,); None for the record's own.
         difference: `stencil` (8th order) or `central` (eq. 8).
 
     Returns:
-        the states; `valid` is all False where no stretch of observed samples outlasts the filter's settling.
+        the states; `valid` is all False if no stretch of observed samples is longer than the filter's settling.
 
     Raises:
         ValueError: unknown difference, negative order, cut-off outside (0, f_s / 2), or arrays of another

@@ -75,24 +75,24 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     """Read any mix of record files and folders of them.
 
     Folders do not recurse; their files are taken in sorted order, files that are not records are ignored. A record with
-    a gap too long to fill is split there (`name.1`, `name.2`). What is said here wins over `pitp.toml` in the folder of
-    a file, and that over what is recognised.
+    a gap too long to fill is split there (`name.1`, `name.2`). These options take precedence over `pitp.toml` in the
+    folder of a file, which takes precedence over recognised values.
 
     Args:
         *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`), rosbag2 folders, and
             folders of them.
         **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
-            `input_unit`, `output_unit`: over what the file says. `input_scale`: of an amplifier's monitor (1 V per
-            kV: 1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
-            without time and for any clock, which it overrules. `header_line`: the line that names the columns, from 1.
-            `units_line`: the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a
-            workbook. `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the
-            other columns, where time, input and output stand in separate files. `joint`: one of those that `each` in
-            `pitp.toml` names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
+            `input_unit`, `output_unit`: instead of the file's. `input_scale`: of an amplifier's monitor (1 V per kV:
+            1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
+            without time, or instead of any clock. `header_line`: the line that names the columns, from 1. `units_line`:
+            the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
+            `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the other
+            columns, if time, input and output are in separate files. `joint`: one of those that `each` in `pitp.toml`
+            names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
 
     Returns:
-        the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised` says
-        what was read.
+        the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised`
+            describes the reading.
 
     Raises:
         BadInput: nothing to read, or files are refused: one line with all of them (file, column, sample, remedy).
@@ -129,12 +129,12 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
     """Return keyword arguments as options.
 
     Raises:
-        BadInput: an unknown name, or a value that means nothing.
+        BadInput: an unknown name or value.
     """
     strange = [name for name in said if name not in ReadOptions.__dataclass_fields__]
     if strange:
         raise BadInput(
-            f"{strange[0]!r} is no option of reading; they are {', '.join(ReadOptions.__dataclass_fields__)}"
+            f"{strange[0]!r} is not an option of reading; the options are {', '.join(ReadOptions.__dataclass_fields__)}"
         )
     files = said.get("join")
     if files is not None:
@@ -150,9 +150,9 @@ def attempted(
 
     Args:
         paths: files and folders.
-        options: what is said of them.
+        options: their options.
         quantities: of `time`, `voltage`, `displacement`.
-        make: from a file, the label of a part and its columns to a list.
+        make: function from a file, the label of a part and its columns to a list.
     """
     # names first, because a record's label depends on all the others
     files = _without_joined(files_of(paths), options)
@@ -245,7 +245,7 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
         the target in base units.
 
     Raises:
-        BadInput: as for a record, and where a sample is missing.
+        BadInput: as for a record, and if a sample is missing.
 
     Examples:
         >>> pitp.read_target(folder / "target.csv").displacement_unit
@@ -257,12 +257,12 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
     options = options_of({**said, "output_column": output_column})
     loaded = load_columns(path, options, ("time", "displacement"))
     if len(loaded) > 1:
-        raise BadInput(f"{cleaned(path)}: {len(loaded)} parts; give one target file")
+        raise BadInput(f"{cleaned(path)}: holds {len(loaded)} recordings; give one target file")
     one = select_range(loaded[0])
     time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
     columns = one.chosen["time"].name, one.chosen["displacement"].name
     _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
-    # a target has no voltage: zeros pass in its place
+    # a target has no voltage: zeros replace it
     check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place, least=2)
     check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))
@@ -273,14 +273,14 @@ def _existing(path: str | os.PathLike) -> Path:
         made = Path(path)
     except TypeError:
         raise BadInput(
-            f"{path!r}: a {type(path).__name__} is no path; give files and folders one by one, as text"
+            f"{path!r}: a {type(path).__name__} is not a path; give files and folders one by one, as text"
         ) from None
     try:
         os.stat(made)
     except (OSError, ValueError) as error:
         if isinstance(error, FileNotFoundError):
             raise BadInput(f"{cleaned(made)}: no such file or folder; check the path") from None
-        raise BadInput(f"{cleaned(made)!r}: not a usable path ({cleaned(error)}); check it") from None
+        raise BadInput(f"{cleaned(made)!r}: not a usable path ({cleaned(error)}); correct it") from None
     return made
 
 
@@ -300,7 +300,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
         BadInput: none given, one that does not exist, a folder without any.
     """
     if not paths:
-        raise BadInput("no records given; name at least one file or folder")
+        raise BadInput("no recordings given; give at least one file or folder")
     files: list[Path] = []
     for path in map(_existing, _unfolded(paths)):
         if not path.is_dir() or is_bag(path):
@@ -310,13 +310,14 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             inside = sorted(path.iterdir())
         except OSError as error:
             raise BadInput(
-                f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its rights"
+                f"{cleaned(path)}: cannot list the folder: {error.strerror or error}; check its access rights"
             ) from None
         # read-mes and pictures beside the recordings are not records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
             raise BadInput(
-                f"{cleaned(path)}: no record files in this folder (folders do not recurse); name the one with files"
+                f"{cleaned(path)}: no recording files in this folder (subfolders are not searched); give the folder "
+                "that holds the files"
             )
         files.extend(inside)
     return files
@@ -335,7 +336,7 @@ def names_of(files: Sequence[Path]) -> list[str]:
     """Return one unique name per file; names that collide get as many parent folders as necessary.
 
     Raises:
-        BadInput: a file given twice, or two of one folder that differ by their suffix alone.
+        BadInput: a file given twice, or two of one folder that differ only in their suffix.
     """
     # links and relative paths: the file itself counts
     real = [Path(os.path.realpath(file)) for file in files]
@@ -346,10 +347,10 @@ def names_of(files: Sequence[Path]) -> list[str]:
             same = [k for k, other in enumerate(names) if other == name]
             first, second = same[:2]
             if real[first] == real[second]:
-                raise BadInput(f"{cleaned(files[second])}: given twice; name each record once")
+                raise BadInput(f"{cleaned(files[second])}: given twice; give each recording once")
             if real[first].parent == real[second].parent:
                 raise BadInput(
-                    f"{cleaned(files[second])}: has the same record name {name!r} as {cleaned(files[first])}; "
+                    f"{cleaned(files[second])}: gives the same recording name {name!r} as {cleaned(files[first])}; "
                     "rename one of the two"
                 )
             for k in same:
@@ -365,10 +366,10 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
 
     Args:
         one: the columns.
-        rate: of the grid, Hz, where neither the user nor the clock gives one.
+        rate: of the grid, Hz, if neither the user nor the clock gives one.
 
     Raises:
-        BadInput: samples that no later step could use, values that no rig has, time that decreases or repeats.
+        BadInput: unusable samples, impossible values, time that decreases or repeats.
     """
     time, voltage, source = one.values["time"], one.values["voltage"], one.table.source
     output = one.values.get("displacement")
@@ -424,7 +425,7 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options as `pitp.toml` beside a file has them: joined files relative to that folder."""
+    """Return the options from the `pitp.toml` beside a file; joined files are relative to that folder."""
     if options.join is None:
         return options
     return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))
@@ -435,7 +436,7 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
     notes = questions(masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
-        notes.append(f"split at its gaps into {len(put.pieces)} records")
+        notes.append(f"split at its gaps into {len(put.pieces)} recordings")
     seen = [
         Remark("input_turns", name, masked.turns[0]),
         Remark("output_turns", name, masked.turns[1]),

@@ -29,11 +29,11 @@ def own_column(values: Any, what: str) -> np.ndarray:
     if values.dtype.kind == "m":
         values = values / np.timedelta64(1, "s")
     if values.dtype.kind == "c":
-        raise BadInput(f"{what} holds complex numbers: give its real part")
+        raise BadInput(f"{what} holds complex numbers; give real ones")
     try:
         column = np.array(values, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadInput(f"{what} does not hold numbers: give an array of them") from None
+        raise BadInput(f"{what} does not hold numbers; give an array of numbers") from None
     column.setflags(write=False)
     return column
 
@@ -60,14 +60,14 @@ class Record(Timed):
     """One excitation of one actuator, in base units.
 
     Attributes:
-        name: the file name less its known suffix, or any label unique in the set.
+        name: the file name without its known suffix, or any label unique in the set.
         time: sample times in s, shape (T,), uniform to 1 % of a sample; the session clock.
-        voltage: drive voltage in V, shape (T,); no missing samples.
+        voltage: input voltage in V, shape (T,); no missing samples.
         displacement: output in `m` (or `V` for electronic benchmarks), shape (T,); nan where missing.
         voltage_unit: unit the voltage had in its file; used when results are written back.
         displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
         source: where it came from, for messages.
-        recognised: what the reader saw in the file and did to it: `file`, `time`, `input`, `output` in words, counts
+        recognised: properties and corrections of the file as read: `file`, `time`, `input`, `output` in words, counts
             `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user (`findings` as values).
 
     Raises:
@@ -90,7 +90,7 @@ class Record(Timed):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
         for unit in (self.voltage_unit, self.displacement_unit):
             if unit not in INPUT_UNITS:
-                raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; one of {', '.join(INPUT_UNITS)}")
+                raise BadInput(f"record {self.name!r}: unknown unit {unit!r}; give one of {', '.join(INPUT_UNITS)}")
         source = cleaned(self.source) or f"record {self.name!r}"  # a path is stored unchanged, but printed cleaned
         check_samples(self.time, self.voltage, self.displacement, source)
 

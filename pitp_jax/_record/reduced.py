@@ -25,7 +25,7 @@ _BEYOND = 3.0  # times the motion's band: a mode above does not move in these re
 
 @runtime_checkable
 class Sampled(Protocol):
-    """A model as far as the sampling rate is concerned: its force, its coefficients, itself at another rate."""
+    """Parts of a model that depend on the sampling rate: its force, coefficients, and itself at another rate."""
 
     @property
     def input_map(self) -> Any: ...
@@ -44,7 +44,7 @@ def reduce_rate(
 
     Args:
         records: in base units, of one sampling rate.
-        model: its modes count among the fastest motion; its coefficients stay, and hold for the records' own rate.
+        model: its modes count among the fastest motion; its coefficients stay valid for the records' own rate.
         samples_per_period: kept of the fastest motion, at least.
         least: size of the blocks from which it is worthwhile.
     """

@@ -9,26 +9,26 @@ from dataclasses import dataclass
 import numpy as np
 
 _COUNTED = {  # kind: unit counted, and what was done
-    "input_turns": ("turn", "of the input unwrapped: the output goes the short way"),
-    "output_turns": ("turn", "of the output unwrapped: its motion continues across the step"),
+    "input_turns": ("turn", "of the input unwrapped, because the output takes the short way"),
+    "output_turns": ("turn", "of the output unwrapped, because its motion continues across the step"),
     "outliers": ("output sample", "masked as spikes or dropouts"),
     "clipped": ("output sample", "masked at the sensor's limit"),
-    "unseen": ("output sample", "off scale and kept, since they are most: does the sensor see?"),
+    "unseen": ("output sample", "off scale; kept, because they are the majority. Is the sensor in range?"),
     "held": (
         "output sample",
         "of one value while the input moves; kept. Did the sensor drop out, or does the joint stick?",
     ),
-    "lost": ("lost sample", "filled in, the output there missing"),
-    "doubled": ("row", "equal to the row before, left out"),
-    "turns": ("overflow", "of the clock's counter, continued"),
-    "sorted": ("row", "out of order by the time, sorted"),
+    "lost": ("lost sample", "inserted, with a missing output"),
+    "doubled": ("row", "equal to the row before, removed"),
+    "turns": ("overflow", "of the clock's counter, made continuous"),
+    "sorted": ("row", "not in the order of time, sorted"),
     "averaged": ("row", "with the time of the row before, averaged with it"),
     "packets": ("row", "stamped in packets, put on an even grid"),
     "resampled": ("row", "of an uneven clock resampled: the input is held, the output interpolated"),
     "regridded": ("row", "resampled as --rate asks: the input is held, the output interpolated"),
     "bridged": ("output sample", "between rows too far apart to interpolate, masked"),
-    "counted": ("row", "put at --rate, whatever the clock shows"),
-    "dropped": ("sample", "of stretches too short, or without output, left out"),
+    "counted": ("row", "timed by --rate instead of the clock"),
+    "dropped": ("sample", "of pieces that are too short or have no output, left out"),
 }
 _MEASURED = {"jitter": "time jitters by up to {:.2g} of a sample, put on a uniform grid"}
 
@@ -38,9 +38,9 @@ class Remark:
     """One finding on one record.
 
     Attributes:
-        kind: one of those above, or "note", of which `detail` is all.
+        kind: one of those above, or "note", which is `detail` alone.
         record: its name.
-        value: how many, or how much.
+        value: a number or an amount.
         detail: an example, for the sentence on this record alone.
     """
 
@@ -76,9 +76,9 @@ def by_kind(remarks: Sequence[Remark]) -> list[str]:
         low, high = (float(f([remark.value for remark in same])) for f in (min, max))
         names = ", ".join(remark.record for remark in same[:3]) + (", ..." if len(same) > 3 else "")
         if kind in _MEASURED:
-            lines.append(f"{len(same)} records: {_MEASURED[kind].format(high)} ({names})")
+            lines.append(f"{len(same)} recordings: {_MEASURED[kind].format(high)} ({names})")
         else:
             what, how = _COUNTED[kind]
             each = counted(int(high), what) if low == high else f"{low:.0f} to {high:.0f} {what}s"
-            lines.append(f"{len(same)} records: {each} each, {how} ({names})")
+            lines.append(f"{len(same)} recordings: {each} each, {how} ({names})")
     return lines

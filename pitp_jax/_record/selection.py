@@ -39,8 +39,8 @@ def select_range(one: Loaded) -> Loaded:
     words = f"{0.0 if first is None else first:.6g} s to {'its end' if last is None else f'{last:.6g} s'}"
     if not len(inside):
         raise BadInput(
-            f"{one.table.source}: no row from {words}; its rows last {np.nanmax(time):.6g} s; give --from and --to in "
-            "seconds after its first row"
+            f"{one.table.source}: no row from {words}, because its rows last {np.nanmax(time):.6g} s; give --from and "
+            "--to in seconds after its first row"
         )
     clock = one.chosen["time"]
     note = f"{clock.note}; " if clock.note else ""

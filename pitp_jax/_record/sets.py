@@ -17,19 +17,19 @@ def check_records(records: object, *, empty: bool = False) -> None:
     """Refuse anything but a list of records; `empty`: whether an empty list is accepted.
 
     Raises:
-        BadInput: saying what was given, and what to give.
+        BadInput: naming the given and the accepted types.
     """
     if isinstance(records, Record):
-        raise BadInput(f"{_place(records)}: give a list of records, also where there is only one")
+        raise BadInput(f"{_place(records)}: give a list of records, even for a single one")
     if isinstance(records, (str, PathLike)):
-        raise BadInput(f"{str(records)!r} is no list of records: give pitp.read({str(records)!r})")
+        raise BadInput(f"{str(records)!r} is not a list of records; give pitp.read({str(records)!r})")
     if not isinstance(records, Sequence):
-        raise BadInput(f"a {type(records).__name__} is no list of records: give what pitp.read returns")
+        raise BadInput(f"a {type(records).__name__} is not a list of records; give the result of pitp.read")
     for record in records:
         if not isinstance(record, Record):
-            raise BadInput(f"a {type(record).__name__} among the records is no record: give what pitp.read returns")
+            raise BadInput(f"a {type(record).__name__} among the records is not a record; give the result of pitp.read")
     if not records and not empty:
-        raise BadInput("no records: give at least one record")
+        raise BadInput("the list holds no records; give at least one")
 
 
 def check_set(records: Sequence[Record] | Record) -> None:
@@ -78,7 +78,7 @@ def session_clock(records: Sequence[Record]) -> bool:
 def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
     """Return groups of indices of records to be padded to one length: one group unless padding doubles them.
 
-    One long record among short ones would make all of them as long. In a group none is shorter than half the longest.
+    One long record would lengthen all short ones in its group. In a group none is shorter than half the longest.
     """
     lengths = [length(r) for r in records]
     if max(lengths) * len(lengths) <= 2 * sum(lengths):

@@ -30,7 +30,7 @@ class Rows:
         sorted: rows or stamps that were out of order.
         doubled: rows equal to the row before, left out.
         averaged: rows that were averaged with the row before, whose stamp they share.
-        counted: whether only the number of a row gives its time (`--rate` beside a clock that is wrong).
+        counted: whether only the number of a row gives its time (`--rate` with a wrong clock).
     """
 
     time: np.ndarray
@@ -65,7 +65,7 @@ def usable_rows(
         source: file, for messages.
         column: name of the time column, for messages.
         place: turns a sample index into words.
-        rate: samples per second that the user states; it overrules a clock that falls.
+        rate: samples per second from the user, used instead of a decreasing clock.
 
     Raises:
         BadInput: time decreases by more than a few steps.
@@ -105,7 +105,7 @@ def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
 def _in_order(rows: Rows) -> Rows:
     """Return the rows with sorted stamps; a row moves with its stamp only if the signals become smoother.
 
-    Packets that overtook one another are sorted. A clock that was set back shows late stamps of rows in good order.
+    Packets in the wrong order are sorted. A clock that was set back gives late stamps of correctly ordered rows.
     """
     order = np.argsort(rows.time, kind="stable")
     moves = order != np.arange(len(order))
@@ -124,7 +124,7 @@ def _in_order(rows: Rows) -> Rows:
 def _once(rows: Rows) -> Rows:
     """Return the rows without those that repeat the row before in all cells.
 
-    Only if no time repeats without them, because a rounded clock repeats in other rows too.
+    This applies only if no time repeats without them, because a rounded clock also repeats in other rows.
     """
     y = rows.displacement
     same = [np.diff(rows.time) == 0, np.diff(rows.voltage) == 0]

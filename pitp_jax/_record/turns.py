@@ -33,7 +33,7 @@ def unwrap(
         units: base units of both; an angle and counts lie on a circle.
 
     Returns:
-        input and output, and how many turns were removed from each.
+        input and output, and the number of turns removed from each.
     """
     seen = np.flatnonzero(np.isfinite(displacement))
     if len(seen) < 3:
@@ -70,7 +70,7 @@ def _period(values: np.ndarray, unit: str) -> float | None:
 
 
 def _beside(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the two steps beside each, and the sum of their sizes."""
+    """Return the mean of the two neighbours of each step, and the sum of their sizes."""
     before, after = np.append(steps[:1], steps[:-1]), np.append(steps[1:], steps[-1:])
     return (before + after) / 2, np.abs(before) + np.abs(after)
 

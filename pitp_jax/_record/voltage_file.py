@@ -23,7 +23,7 @@ class Drive(Timed):
     """A voltage without a measurement.
 
     Attributes:
-        name: the file name less its known suffix.
+        name: the file name without its known suffix.
         time, voltage: in s and the base unit, uniform, shape (T,).
         voltage_unit: unit it had in its file.
         source: the file.
@@ -50,10 +50,10 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
         **said: `time_column`, `input_column`, units, `input_scale`, `rate` and the others as for `read`.
 
     Returns:
-        the drives, in the order given.
+        the voltages, in the order given.
 
     Raises:
-        BadInput: one line with all files that are refused.
+        BadInput: one line with all refused files.
 
     Examples:
         >>> drive = pitp.read_voltage(folder / "drive.csv")[0]
@@ -73,7 +73,7 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
     kinds = [f"{OPTIONS[q]} {one.words(q)}" for q in one.chosen]
     remarks = [f"{label}: {one.table.form}; {', '.join(kinds)}"]
     if (output := _output(one.table, one.options)) is not None:
-        remarks.append(f"{label}: column {output!r} is a measurement and ignored")
+        remarks.append(f"{label}: column {output!r} is a measurement and was ignored")
     remarks += [f"{label}: {remark}" for remark in clock_remarks(label, put)]
     ends, unit = ("",) if len(put.pieces) == 1 else [f".{k + 1}" for k in range(len(put.pieces))], one.unit("voltage")
     return [

@@ -26,7 +26,7 @@ def smooth_step(s: np.ndarray) -> np.ndarray:
 def _clock(duration: float, rate: float) -> np.ndarray:
     count = round(duration * rate) if duration > 0 and rate > 0 else 0
     if count < 2:
-        raise ValueError(f"duration {duration} s at {rate} Hz gives fewer than two samples; raise one of them")
+        raise ValueError(f"duration {duration} s at {rate} Hz gives fewer than two samples; increase one of them")
     return np.arange(count) / rate
 
 

@@ -65,7 +65,7 @@ def _remedy(error: OSError) -> str:
     if isinstance(error, FileNotFoundError):
         return "create the folder first"
     if isinstance(error, PermissionError):
-        return "choose a place you may write to"
+        return "choose a place where you may write"
     if isinstance(error, (IsADirectoryError, NotADirectoryError)):
         return "give a file name inside a folder"
     return "choose another place"

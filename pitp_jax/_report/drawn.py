@@ -18,8 +18,8 @@ def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, n
     Args:
         folder: where `figures/` is made if it is missing.
         name: of the figure.
-        drawn: it.
-        columns: its numbers; None takes what its axes hold (axes, series, x, y).
+        drawn: the figure.
+        columns: its numbers; None takes those of its axes (axes, series, x, y).
 
     Raises:
         BadInput: a file cannot be written.

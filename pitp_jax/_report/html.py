@@ -121,7 +121,7 @@ def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css:
 
 
 def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """Return the same table without columns in which every row has a dash or a zero."""
+    """Return a table without the columns that contain only dashes or zeros."""
     told = [k for k in range(len(header)) if any(cells[k] not in ("–", "0", "") for _, cells in rows)]
     kept = [(kind, [cells[k] for k in told]) for kind, cells in rows]
     return table([header[k] for k in told], kept, {i: css[k] for i, k in enumerate(told) if k in css})
@@ -132,7 +132,7 @@ def picture(name: str, drawn: Figure, caption: str) -> str:
 
     Args:
         name: unique on the page.
-        drawn: any figure; it is redrawn so narrow that its text can be read on a telephone.
+        drawn: any figure; it is redrawn narrow enough for its text to be readable on a telephone.
         caption: one sentence.
     """
     _made_small(drawn)

@@ -25,7 +25,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
     """Return where each of `bins` equal parts of a signal is smallest and largest.
 
     Args:
-        values: signal, shape (T,); nan where missing, and passed over.
+        values: signal, shape (T,); nan where missing, which is ignored.
         bins: number of stretches, fewer where T is smaller.
 
     Returns:
@@ -36,7 +36,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the same as `extremes` over parts widened to whole oscillations, so that only the envelope remains.
+    """Return the indices of `extremes` over parts widened to whole oscillations, which draw only the envelope.
 
     A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
     neighbours is a ripple within an oscillation.
@@ -106,7 +106,7 @@ def over(values: np.ndarray) -> dict:
 def shown(unit: str, *signals) -> list[np.ndarray]:
     """Return signals in the unit shown; refuse an unknown unit and unequal lengths."""
     if unit not in _UNITS:
-        raise ValueError(f"no output unit {unit!r}; there are {', '.join(_UNITS)}")
+        raise ValueError(f"unknown output unit {unit!r}; use one of {', '.join(_UNITS)}")
     arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
     same_length(*arrays)
     return arrays
@@ -126,7 +126,7 @@ def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
 def same_length(*arrays: np.ndarray) -> None:
     """Refuse signals that are not all (T,) with one T."""
     if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
-        raise ValueError(f"signals must be (T,), all of one length; got {[a.shape for a in arrays]}")
+        raise ValueError(f"signals must have shape (T,) and one length, not {[a.shape for a in arrays]}")
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
@@ -148,14 +148,14 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
         figure.align_ylabels(axes)
     axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
     if len(axes) != rows:
-        raise ValueError(f"this figure needs {rows} axes, got {len(axes)}")
+        raise ValueError(f"this figure needs {rows} axes, not {len(axes)}")
     return axes
 
 
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
     """Add labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
 
-    Axes under each other share `across`: the lowest alone numbers it.
+    Stacked axes share `across`: only the lowest shows its numbers.
     """
     for ax, label in zip(axes, upward, strict=True):
         ax.set_ylabel(label, fontsize=_SMALL + 1)

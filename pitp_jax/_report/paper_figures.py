@@ -89,7 +89,7 @@ def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, la
     """Draw output over voltage (the paper's Fig. 10); another call on the same axes adds the next frequency.
 
     Args:
-        voltage: drive voltage in V, shape (T,); best of one settled period.
+        voltage: input voltage in V, shape (T,); best of one settled period.
         measured: output in `unit`, shape (T,).
         predicted: output of the model, shape (T,).
         ax: where to draw; None makes a figure.
@@ -117,8 +117,8 @@ def tokens(time, tokens, names, axes=None) -> np.ndarray:
 
     Args:
         time: sample times in s, shape (T,).
-        tokens: what the encoder gave at each sample, shape (T, k), in any unit.
-        names: what to write beside each, k of them, unit included.
+        tokens: tokens at each sample, shape (T, k), in any unit.
+        names: labels of the k tokens, with units.
         axes: k axes; None makes a figure.
 
     Returns:
@@ -140,8 +140,8 @@ def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> 
     Args:
         time: sample times in s, shape (T,).
         target: wanted output in `unit`, shape (T,).
-        achieved: what the actuator did, shape (T,); nan where missing.
-        voltage: the voltage that was applied in V, shape (T,).
+        achieved: measured output, shape (T,); nan where missing.
+        voltage: the applied voltage in V, shape (T,).
         axes: three axes; None makes a figure.
         unit: `m`, or `V` for an electronic output.
 

@@ -112,11 +112,11 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
     """Choose the initial state whose run leaves the smallest residual of the first samples, with offset and direction.
 
     Args:
-        model: whose runs they are.
+        model: used for the runs.
         record: in base units.
-        runs: displacement from rest and from held, m, shapes (time,), from sample `begin` on.
-        begin: where the runs begin; before it nothing moves.
-        settled: whether the data show a record that stands at first, which no misfit of the model makes a moving one.
+        runs: displacement from rest and from a settled start, m, shapes (time,), from sample `begin` on.
+        begin: first sample of the runs; nothing moves before it.
+        settled: whether the data show an initially still record, which a misfit of the model cannot make a moving one.
     """
     zero, polarity = float(model.output.offset), float(model.output.polarity)
     y, omega = record.displacement[begin : begin + _AHEAD], model.natural_frequency
@@ -164,8 +164,8 @@ def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> 
 
     x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
 
-    Without it a held record says of the static curve what the model said before: its equilibrium gave the zero. A
-    sensor that was zeroed anew under the held drive reads no displacement there, which no factor of two explains.
+    Otherwise a held record would only repeat the model's static curve, because the model's equilibrium gave the offset.
+    A sensor that was zeroed under the held input reads no displacement there, which exceeds the factor of two.
     """
     known = sorted((b.zero, b.stderr) for b in begun if b.begins == "rest")
     if not known:

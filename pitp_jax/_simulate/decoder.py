@@ -98,7 +98,7 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
 
 
 def moved(state: State, by: float, slope: State) -> State:
-    """Return the state moved by a step along a slope."""
+    """Return the state plus `by` times its rate of change."""
     return jax.tree.map(lambda a, b: a + by * b, state, slope)
 
 
@@ -193,13 +193,13 @@ def rollout(
 ) -> Float[Array, "time state"]:
     """Simulate one record: return scaled states at every sample of a voltage u, row 0 = `start`; vmap for more.
 
-    A start at x = 0 without motion is rest: the film is uncharged. Any other start has it settled at u(0).
+    A start at x = 0 without motion is rest: the film is uncharged. For any other start the film is settled at u(0).
 
     Args:
         model: any.
         voltage: V, shape (T,).
         dt: sampling interval, s; steps are the model's `substeps` a sample.
-        start: scaled, as `rest_state` gives it.
+        start: scaled, as returned by `rest_state`.
 
     Returns:
         scaled states (state, memory, effects), shape (T, n + K).

@@ -12,7 +12,7 @@ from jaxtyping import Array, Float
 from .._model.coordinate import from_model
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .batched_rollout import free_runs
 from .decoder import rest_state
 
@@ -27,7 +27,7 @@ def free_run(
     Args:
         model: any: identified, trained, with effects.
         voltage: shape (time,), V.
-        state: where it starts, scaled, as `rest_state` gives it; None starts at rest at 0 V.
+        state: initial state, scaled, as returned by `rest_state`; None starts at rest at 0 V.
 
     Returns:
         displacement, shape (time,), m (SI unit of the model's recordings): 0 at 0 V, growing as the actuator extends
@@ -40,7 +40,7 @@ def free_run(
         ((200,), (200,))
     """
     model = model_of(model)
-    return _free_run(model, jnp.asarray(voltage, model.coefficients.dtype), model.dt, state)
+    return _free_run(model, signal(voltage, model.coefficients.dtype, "voltage"), model.dt, state)
 
 
 @jit

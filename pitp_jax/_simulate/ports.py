@@ -152,7 +152,7 @@ def required(
 ) -> Float[Array, " time"]:
     """Solve eq. 13 with effects: return the film's scaled force along a wanted motion from rest, shape (time,).
 
-    Every state of a force effect follows x alone, so it is known along the way; then couplings are divided out.
+    The states of a force effect depend on x alone, so they are known along the motion; then couplings are divided out.
     """
     parts = along(model, equation[:, 0], dt, age)
     return jax.vmap(lambda *instant: needed(model, *instant))(parts, equation, features)

@@ -14,7 +14,8 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from .._errors import refuse_traced
-from .._model.fitted import Fitted, model_of
+from .._model.coverage import input_beyond, input_words
+from .._model.fitted import Fitted, fitted_of
 from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._model.programs import jit, on_device
@@ -81,15 +82,18 @@ class Prediction(Shown):
 
     Attributes:
         name: of the record.
-        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,);
-            nan from the sample where the rollout left every range.
-        diverged: whether it did.
+        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,); nan from
+            the sample where the rollout diverged.
+        diverged: whether the rollout diverged.
         estimated_start: the record starts moving, so state and memory were estimated from its first samples.
-        scored: samples that count, shape (T,): all but those the initial state was estimated from.
-        outside_training_share: fraction of samples whose state lies outside the trained region.
-        outside_training: in which coordinates, by how much and when, in words; empty where none does.
+        scored: samples that count, shape (T,): all except those used to estimate the initial state.
+        outside_training_share: the larger of two fractions: of the samples, with a state outside the trained region;
+            of the input's energy, at frequencies and amplitudes that the model was not trained with.
+        outside_training: in which coordinates, by how much and when, in words; empty if inside.
+        not_excited: the sentence on the input's energy, where it is more than a tenth; otherwise empty.
         begins: "rest", "held" or "moving".
-        zero, zero_stderr, direction: the record's own, from its beginning: measured = direction * x + zero (m or V).
+        zero, zero_stderr, direction: the record's own sensor offset and direction: measured = direction * x + zero (m
+            or V).
     """
 
     name: str
@@ -103,6 +107,7 @@ class Prediction(Shown):
     zero_stderr: float = 0.0
     direction: float = 1.0
     outside_training: str = ""
+    not_excited: str = ""
 
     def __repr__(self) -> str:
         """Return one line: the range of the prediction, and the assumed initial state of the record."""
@@ -134,7 +139,8 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
         True
     """
     refuse_traced("predict", "free_run", model)
-    model = model_of(model)
+    fitted = fitted_of(model)
+    model = fitted.model
     check_set(records)
     model = at_rate(model, records[0].dt)
     # initial states over the whole set, because a session's clock and reach span all lengths
@@ -143,7 +149,14 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
     for places in alike(records):
         some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
         runs.update(zip(places, some, strict=True))
-    return tuple(runs[k] for k in range(len(records)))
+    return tuple(_beside_trained(fitted, record, runs[k]) for k, record in enumerate(records))
+
+
+def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
+    """Return the prediction with the fraction and the description of the input's untrained part."""
+    part = input_beyond(model, record.voltage, record.dt)
+    share = max(run.outside_training_share, part.fraction)
+    return replace(run, outside_training_share=share, not_excited=input_words(model, part))
 
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
@@ -209,7 +222,7 @@ def initial_samples(model: Model, record: Record) -> int:
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
     """Estimate the state of a moving start from its first samples.
 
-    After a gap at the beginning these are behind it: the rollout reaches them from the start.
+    After an initial gap these samples follow the gap; the rollout starts before it.
     """
     dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]

@@ -27,18 +27,18 @@ def rollout(
 
     Args:
         model: identified, trained, or with effects.
-        voltage: drive in V, shape (T,) or (runs, T).
-        dt: sampling interval in s; None is the model's own. A coarser one is converted by finer steps inside.
-        begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None is rest where u(0) = 0.
-        start_time: clock of the session at the first sample, s; matters to effects that age alone.
+        voltage: input in V, shape (T,) or (runs, T).
+        dt: sampling interval in s; None is the model's own. A coarser one is simulated with finer steps.
+        begins: "rest" (x = 0, uncharged: a step from 0 V) or "held" (settled at u(0)); None: rest if u(0) = 0.
+        start_time: clock of the session at the first sample, s; used only by effects that age.
         zero: where the displacement is 0: "rest", at 0 V, growing as the actuator extends; "sensor", the sensor's own
             readings; or the value at 0 V.
 
     Returns:
-        displacement in base units (m), shape of `voltage`; nan from the sample where the run left every range.
+        displacement in base units (m), shape of `voltage`; nan from the sample where the run diverged.
 
     Raises:
-        BadInput: no model, a voltage that is no finite array of these shapes, no positive dt.
+        BadInput: not a model, a voltage that is not a finite array of these shapes, or a dt that is not positive.
 
     Examples:
         >>> x = pitp.rollout(model, 1000 * np.ones(200), dt=1e-3, begins="rest")
@@ -62,11 +62,11 @@ def _checked(voltage, dt, begins) -> np.ndarray:
     except (TypeError, ValueError):
         raise BadInput(f"voltage is a {type(voltage).__name__}, not an array of numbers (V)") from None
     if drive.ndim not in (1, 2) or drive.shape[-1] < 2:
-        problems.append(f"voltage has shape {drive.shape}: give (T,) or (runs, T), T at least 2")
+        problems.append(f"voltage has shape {drive.shape}; give (T,) or (runs, T), T at least 2")
     elif not np.isfinite(drive).all():
         problems.append("voltage holds values that are missing or infinite")
     if isinstance(dt, bool) or not isinstance(dt, (int, float, np.number)) or not np.isfinite(dt) or dt <= 0:
-        problems.append(f"dt {dt!r} is no positive number of seconds")
+        problems.append(f"dt {dt!r} is not a positive number of seconds")
     if begins not in (None, "rest", "held"):
         problems.append(f"begins {begins!r} is not 'rest' or 'held'")
     if problems:

@@ -42,7 +42,7 @@ class Choice:
         place: among the table's columns; None for a time that --rate or the channels' own clock makes.
         name: its header.
         unit: of its values.
-        note: what else the summary should say of it, or empty.
+        note: further remark for the summary, or empty.
         clock: (first time, step) of the channels' own clock.
     """
 
@@ -99,14 +99,14 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
 
     Args:
         table: the opened file.
-        options: what the caller says about them.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Returns:
         a choice per quantity.
 
     Raises:
-        Refused: with all that is missing, the columns here and the command to try.
+        Refused: with everything that is missing, the columns of the file and the command to try.
     """
     seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
     chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
@@ -131,7 +131,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
-        why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ as well as of the actuator: which is the drive?"
+        why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
         problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
     clock = chosen.get("time")
     bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
@@ -163,8 +163,8 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
     if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
         return None
-    how = "counts in whole numbers" if whole else f"goes on in steps of {step:.3g}"
-    return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ for a counter"
+    how = "counts in whole numbers" if whole else f"rises in steps of {step:.3g}"
+    return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
 
 
 def _port(seen: _Seen) -> bool:
@@ -251,8 +251,8 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     """Return the clocks that remain after the rules on values, names and units, in this order of importance.
 
-    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one that certainly counts
-    seconds is taken, or the one with the smallest values, which loses the fewest digits.
+    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one in seconds is taken,
+    otherwise the one with the smallest values, which loses the fewest digits.
     """
     if len(clocks) < 2:
         return clocks
@@ -322,20 +322,20 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     if not pool and wanted is not None:
         several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
         one = "a recording has one input and one output; " if several else ""
-        raise _Ask(f"column {wanted!r} is missing; {one}give --{stem}-column one of those here")
+        raise _Ask(f"column {wanted!r} is missing; {one}give --{stem}-column one of the columns of the file")
     if not pool and quantity == "time" and options.rate is not None:
         return Choice(None, "--rate", "s")
     if not pool:
         worded = [s for s in seen if s.column.form == "text" and s.role == _ROLE[quantity]]
         if worded:
-            raise _Ask(f"column {worded[0].column.name!r} holds text: write plain numbers, no thousands separators")
+            raise _Ask(f"column {worded[0].column.name!r} holds text; write plain numbers without thousands separators")
         raise _Ask(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]
         twice = len(set(names)) < len(names)
         remedy = f"{'rename or delete one, or ' * twice}choose one with --{stem}-column {'NUMBER' if twice else 'NAME'}"
         raise _Ask(
-            f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} matches for the {_WORD[quantity]}; {remedy}"
+            f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} columns may be the {_WORD[quantity]}; {remedy}"
         )
     return _with_unit(pool[0], quantity, options, _beside(seen, pool[0], quantity) if wanted is None else "")
 
@@ -347,7 +347,7 @@ def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
     others = [
         s.column.name for s in seen if s is not chosen and s.kind == chosen.kind and s.role in (chosen.role, None)
     ]
-    return f"by its exact name, beside {_names(others)}" if others else ""
+    return f"chosen by its exact name; other candidates: {_names(others)}" if others else ""
 
 
 def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> Choice:
@@ -358,12 +358,12 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     fits = seen.unit if seen.unit in units_of(quantity) else None
     said = seen.conflict or tuple(u for u in (seen.unit or seen.unknown,) if u)
     if given is not None:
-        over = f"by --{stem}-unit, over {' and '.join(said)} in the file" if said not in ((), (given,)) else note
+        over = f"by --{stem}-unit, instead of {' and '.join(said)} in the file" if said not in ((), (given,)) else note
         return Choice(seen.place, name, given, over)
     if seen.conflict:
         first, second = seen.conflict[:2]
         raise _Ask(
-            f"column {name!r}: its name says {first}, the units beside it say {second}; give --{stem}-unit",
+            f"column {name!r} has two units, {first} in its name and {second} in its unit; give --{stem}-unit",
             [f"--{stem}-unit", first],
         )
     if seen.unknown:
@@ -374,7 +374,7 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
     if quantity == "time" and seen.unit is None:
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
-    why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is none"
+    why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is not a unit"
     raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_few(quantity)}")
 
 
@@ -395,7 +395,10 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
         raise _Ask(f"the {_WORD['time']} is missing")
     if any(not np.allclose(clock, clocks[0], rtol=1e-9, atol=1e-9) for clock in clocks):
         steps = ", ".join(f"{step:g} s" for _, step in clocks)
-        raise _Ask(f"{_names([s.column.name for s in ports])} have clocks that differ (steps {steps}); give --rate HZ")
+        raise _Ask(
+            f"{_names([s.column.name for s in ports])} have different clocks (sampling intervals {steps}); "
+            "give --rate HZ"
+        )
     return Choice(None, "the channels' own clock", "s", clock=clocks[0])
 
 
@@ -439,7 +442,7 @@ def _once(words: Sequence[str]) -> list[str]:
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
-    """Return a column as an option names it: by its number if other columns share its name."""
+    """Return a column's name for an option: its number if other columns share its name."""
     names = [s.column.name for s in seen]
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 

@@ -29,12 +29,12 @@ class Loaded:
     """Columns of one part of a file, in base units.
 
     Attributes:
-        table: where they come from.
+        table: their source.
         chosen: a choice per quantity.
         values: per quantity, shape (T,) each.
-        options: what was said, by the caller and in the folder.
+        options: of the caller and the folder.
         label: of this part of the file, or empty.
-        rows: which rows of the table they are, or None for all.
+        rows: their rows in the table, or None for all.
     """
 
     table: Table
@@ -66,11 +66,11 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
 
     Args:
         path: the file.
-        options: what the caller says.
+        options: the caller's options.
         quantities: of `time`, `voltage`, `displacement`.
 
     Raises:
-        BadInput: nothing readable, or something must be asked.
+        BadInput: nothing readable, or the user must decide.
     """
     said = with_folder(options, path)
     parts = joined_parts(path, said)
@@ -107,7 +107,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
     """Return the reading on which all readable tables agree.
 
     Raises:
-        BadInput: none can, or two differ.
+        BadInput: none can be read, or two differ.
     """
     good, refusals = [], []
     for table in tables:
@@ -129,7 +129,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
                 for word in (f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit)
             ]
             raise Refused(
-                table.source, f"may be read in two ways ({table.form}): {two[0]}; or ({other.form}): {two[1]}", words
+                table.source, f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words
             )
     return table, chosen
 
@@ -161,7 +161,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     if "voltage" in chosen and "time" in chosen:
         loaded, rows, fraction = hold_sparse(loaded)
         if rows is not None:
-            note = f"in {100 * fraction:.2g} % of the rows, held between them"
+            note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
             voltage = chosen["voltage"]
             note = f"{voltage.note}; {note}" if voltage.note else note
             chosen = chosen | {"voltage": replace(voltage, note=note)}
@@ -200,8 +200,8 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         assert rate is not None
         if 0 < table.blanks < count / 2:
             raise BadInput(
-                f"{source}: {table.blanks} empty lines among the rows of a file without a clock: were samples lost "
-                "there? split it"
+                f"{source}: {table.blanks} empty lines between the rows of a file without a clock; split the file "
+                "there if samples were lost"
             )
         loaded["time"] = np.arange(count) / rate
         return choice
@@ -259,7 +259,8 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
         raise BadInput(
-            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose one that counts runs"
+            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose a column that numbers the "
+            "runs"
         )
     parts = []
     for label in first:

@@ -189,7 +189,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
     groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
     if objects and not groups and not _vectors(plain):
         raise BadInput(
-            f"{source}: holds a MATLAB object (string, table, timetable, datetime), which no other program reads; save "
+            f"{source}: holds a MATLAB object (string, table, timetable, datetime), which only MATLAB can read; save "
             "vectors, or S = table2struct(T, 'ToScalar', true)"
         )
     if options.split_by == "group" and groups:
@@ -288,13 +288,14 @@ def _kind(group: Any, name: str, source: str):
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise BadInput(
-            f"{source}: {cleaned(name)!r} is a link to {cleaned(getattr(link, 'filename', 'another place'))}, which is "
-            "not followed; store the data themselves"
+            f"{source}: {cleaned(name)!r} is a link to {cleaned(getattr(link, 'filename', 'another place'))}, which "
+            "is not followed; store the data in this file"
         )
     kind = group.get(name, getclass=True)
     if kind is h5py.Dataset and (group[name].external or group[name].is_virtual):
         raise BadInput(
-            f"{source}: {cleaned(name)!r} keeps its data in another file, which is not read; store them here"
+            f"{source}: {cleaned(name)!r} keeps its data in another file, which is not read; store the data in this "
+            "file"
         )
     return kind
 
@@ -354,7 +355,7 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     source, suffix = cleaned(path), ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
     if not suffix:
         raise BadInput(
-            f"{source}: not a record file (known suffixes: {', '.join(sorted(SUFFIXES))}); convert or rename it"
+            f"{source}: not a recording file (known suffixes: {', '.join(sorted(SUFFIXES))}); convert or rename it"
         )
     if suffix not in _STORED:
         return [text_tables(path, options)]

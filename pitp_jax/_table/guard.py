@@ -33,7 +33,7 @@ def check_columns(count: int, source: str) -> None:
         BadInput: with the count.
     """
     if count > MAX_COLUMNS:
-        raise BadInput(f"{source}: {count} columns, more than {MAX_COLUMNS}; keep those of one actuator")
+        raise BadInput(f"{source}: {count} columns, more than {MAX_COLUMNS}; keep the columns of one actuator")
 
 
 def check_count(count: int, source: str) -> None:
@@ -43,7 +43,9 @@ def check_count(count: int, source: str) -> None:
         BadInput: with the count.
     """
     if count > MAX_SAMPLES:
-        raise BadInput(f"{source}: {count} samples, more than {MAX_SAMPLES}; split the record or sample it coarser")
+        raise BadInput(
+            f"{source}: {count} samples, more than {MAX_SAMPLES}; split the recording or average it to a lower rate"
+        )
 
 
 def check_unfolded(unfolded: int, size: int, source: str) -> None:
@@ -54,8 +56,8 @@ def check_unfolded(unfolded: int, size: int, source: str) -> None:
     """
     if unfolded > min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size)):
         raise BadInput(
-            f"{source}: unfolds from {size} to {unfolded} bytes or more; an archive may unfold to {_UNFOLDED} "
-            f"times its size and {_UNFOLDED_BYTES >> 20} MiB: save it plain, or split the record"
+            f"{source}: unpacks from {size} to {unfolded} bytes or more (limits: {_UNFOLDED} times its size and "
+            f"{_UNFOLDED_BYTES >> 20} MiB); save it uncompressed, or split the recording"
         )
 
 
@@ -70,13 +72,15 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
         # a pipe would block forever, a device would never end
         state = os.stat(path)
         if not stat.S_ISREG(state.st_mode):
-            raise BadInput(f"{source}: is not a regular file; copy the record into one")
+            raise BadInput(f"{source}: is not a regular file; copy the recording into one")
         if count < 0 and state.st_size > MAX_BYTES:
-            raise BadInput(f"{source}: {state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the record")
+            raise BadInput(f"{source}: {state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the recording")
         with open(path, "rb") as file:
             data = file.read(count)
     except OSError as error:
-        raise BadInput(f"{source}: cannot read: {error.strerror or error}; check the path and its rights") from None
+        raise BadInput(
+            f"{source}: cannot be read: {error.strerror or error}; check the path and its access rights"
+        ) from None
     if not data:
         raise BadInput(f"{source}: the file is empty (0 bytes); record it again or leave it out")
     return data
@@ -96,12 +100,12 @@ def as_column(values: Any, column: str, source: str) -> np.ndarray:
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
-        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} where real numbers belong; store it as float64")
+        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} instead of real numbers; store it as float64")
     # (T, 1) and (1, T) are vectors, as MATLAB writes them
     if values.ndim > 1 and values.size != max(values.shape):
         raise BadInput(
-            f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} where a vector "
-            "belongs; store one column per variable"
+            f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} instead of a vector; store one "
+            "column per variable"
         )
     check_count(values.size, source)
     with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity (refused later)
@@ -112,7 +116,7 @@ def gunzip(data: bytes, source: str) -> bytes:
     """Decompress gzip data piece by piece.
 
     Raises:
-        BadInput: damaged, truncated, or unfolding to too much.
+        BadInput: damaged, truncated, or too large when unpacked.
     """
     pieces, total = [], 0
     try:
@@ -134,11 +138,11 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
     Args:
         data: the compressed bytes.
         source: the file, for messages.
-        size: of the whole file, which the limit is counted from.
-        begun: bytes of this file unfolded before.
+        size: of the whole file, which determines the limit.
+        begun: bytes of this file already unpacked.
 
     Raises:
-        BadInput: unfolding to too much.
+        BadInput: too large when unpacked.
         zlib.error: damaged or truncated.
     """
     engine, pieces, total = zlib.decompressobj(), [], begun
@@ -166,7 +170,7 @@ def check_archive(path: Path) -> None:
             members = archive.infolist()
     except Exception as error:  # zipfile raises almost any error on damaged directories
         raise BadInput(
-            f"{source}: not readable as an archive ({type(error).__name__}); save or copy it again"
+            f"{source}: cannot be read as an archive ({type(error).__name__}); save or copy it again"
         ) from None
     check_unfolded(sum(member.file_size for member in members), path.stat().st_size, source)
 
@@ -185,7 +189,7 @@ def guarded(source: str, kind: str, function: Callable, *arguments):
         raise
     except ImportError as error:
         extra = {"openpyxl": "excel", "nptdms": "labview"}.get(error.name or "", "robot")
-        raise BadInput(f"{source}: needs {error.name}; `pip install 'pitp_jax[{extra}]'`") from None
+        raise BadInput(f"{source}: needs the package {error.name}; run `pip install 'pitp_jax[{extra}]'`") from None
     except Exception as error:
         reason = cleaned(" ".join(str(error).split()) or type(error).__name__)
-        raise BadInput(f"{source}: not readable as a {kind} ({reason[:120]}); save or copy it again") from error
+        raise BadInput(f"{source}: cannot be read as a {kind} ({reason[:120]}); save or copy it again") from error

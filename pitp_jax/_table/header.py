@@ -39,7 +39,7 @@ class NoTable(BadInput):
     def __init__(self, source: str):
         """Compose the message for a file."""
         super().__init__(
-            f"{source}: holds no table of numbers (two columns, 64 rows at least); save it as plain CSV, or give "
+            f"{source}: holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, or give "
             "--separator and --header-line"
         )
 
@@ -69,8 +69,8 @@ class Layout:
         columns: names and units.
         first: index of the first row of numbers among the rows given.
         width: cells of a row of numbers.
-        notes: what else was recognised, in words.
-        hint: of the rate, or empty.
+        notes: further recognised properties, in words.
+        hint: about the rate, or empty.
     """
 
     separator: str
@@ -97,7 +97,7 @@ def layouts(
         separator: passed on.
         decimal: `.` or `,`.
         source: the file, for messages.
-        header_line: the line that names the columns, if the user says it.
+        header_line: the line that names the columns, if the user gives it.
         units_line: the line of units, or "none".
 
     Raises:
@@ -113,7 +113,7 @@ def layouts(
         raise NoTable(source)
     first = _first(rows, body, width, forms, decimal)
     if first is None:
-        raise BadInput(f"{source}: no row in which every column has its number; correct the first rows")
+        raise BadInput(f"{source}: no row has a number in every column; correct the first rows")
     # empty columns at the right need no name
     filled = [len(trimmed(row)) for row in rows.cells[first:] if len(row) == width]
     widths = range(max(filled, default=width), width + 1)
@@ -258,7 +258,7 @@ def _is_units(row: Sequence[str]) -> bool:
 
 
 def _of_unit(cell: str) -> str:
-    """Return a cell of a units row without its key: `Unit: kV`."""
+    """Return a cell of a units row without its key, for example `kV` of `Unit: kV`."""
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 
@@ -266,7 +266,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     """Return the layout in which row k names the columns."""
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
-        names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells beside the header"]
+        names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells to the right of the header ignored"]
     if len(names) == widths[0] - 1:
         names = ["row", *names]
         notes.append("row names before the first column")
@@ -275,8 +275,8 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
         start = next((int(c) for c in counts if c.isdecimal()), -1)
         if any(c != str(start + i) for i, c in enumerate(counts)):
             raise BadInput(
-                f"{source}: line {rows.numbers[k]}: {len(names) - 1} names over rows of {widths[0]} cells; make them "
-                "agree, or give --header-line"
+                f"{source}: line {rows.numbers[k]}: {len(names) - 1} column names, but {widths[0]} cells in the rows "
+                "below; make them agree, or give --header-line"
             )
     names += [""] * (width - len(names))
     empty = [
@@ -297,8 +297,8 @@ def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths:
     if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:
         count = len(trimmed(rows.cells[last[0]]))
         raise BadInput(
-            f"{source}: line {rows.numbers[last[0]]}: {count} names in the header over rows of {bare.width} cells; "
-            "make them agree, or give --header-line"
+            f"{source}: line {rows.numbers[last[0]]}: {count} names in the header, but {bare.width} cells in the rows "
+            "below; make them agree, or give --header-line"
         )
     names = [str(k + 1) for k in range(bare.width)]
     return replace(_with_names(bare, names, units, rows, first), notes=("no header, columns counted from 1",))

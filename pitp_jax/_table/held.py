@@ -16,7 +16,7 @@ def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.n
     """Return the means of held values over intervals.
 
     Args:
-        time: when each value was written, in s, increasing, shape (T,).
+        time: time of each value in s, increasing, shape (T,).
         values: shape (T,).
         ends: ends of the intervals in s, increasing, shape (K + 1,).
 
@@ -37,7 +37,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
         loaded: by quantity, nan where a cell is empty.
 
     Returns:
-        the columns; which rows they are, or None where the input is not sparse; and the fraction of rows that have it.
+        the columns; their rows, or None if the input is not sparse; and the fraction of rows with an input.
     """
     time, voltage = loaded["time"], loaded["voltage"]
     output = loaded.get("displacement", np.zeros_like(voltage))
@@ -58,7 +58,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
 
 
 def _held(written: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the held input at the times of rows: its mean to the next row if both clocks increase."""
+    """Return the held input of every row: its mean up to the next row if both clocks increase."""
     if (np.diff(time) > 0).all() and (np.diff(written) > 0).all():
         ends = np.append(time, 2 * time[-1] - time[-2])
         return mean_of_held(written, values, ends)

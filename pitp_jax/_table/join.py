@@ -67,7 +67,8 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
     if any(clock is None for clock in clocks):
         rows = ", ".join(f"{table.path.name} ({size} rows)" for table, size in zip(tables, sizes, strict=True))
         raise BadInput(
-            f"{tables[0].source}: cannot join {cleaned(rows)}: give files of one length, or each with its time"
+            f"{tables[0].source}: cannot join {cleaned(rows)}; give files of the same length, or with a time column "
+            "each"
         )
     return _in_turn(tables, [clock for clock in clocks if clock is not None])
 
@@ -139,7 +140,7 @@ def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Co
 
     Args:
         tables: to be joined.
-        dropped: the place of a clock that is left out, by table.
+        dropped: the place of an omitted clock, by table.
     """
     twice = Counter(column.name for table in tables for column in table.columns)
     columns: list[Column] = []
@@ -161,9 +162,9 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
     """Return the refusal of files that together hold a record, with the command that joins them, or None.
 
     Args:
-        files: of one call, none of which can be read.
-        options: what the caller says.
-        quantities: that are sought.
+        files: unreadable files of one call.
+        options: the caller's options.
+        quantities: the wanted ones.
     """
     folder = files[0].parent
     if options.join is not None or any(file.parent != folder or file.is_dir() for file in files):
@@ -183,7 +184,7 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
         if words is not None:
             first, others = group[0], [os.fspath(table.path) for table in group[1:]]
             names = cleaned(", ".join(os.path.basename(other) for other in others))
-            why = f"holds a part of the time, the input and the output, and {names} the rest"
+            why = f"holds only some of time, input and output, and {names} the others"
             return Refused(first.source, why, [*words, "--join", *others])
     return None
 
@@ -205,7 +206,7 @@ def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence
 
 
 def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options that a table lacks (empty if none would help); None if it lacks nothing."""
+    """Return the reading options that would complete a table (empty if none would); None if it is complete."""
     try:
         choose_columns(table, options, quantities)
     except BadInput as error:

@@ -19,7 +19,7 @@ def flat(data: bytes, source: str) -> io.BytesIO:
         source: its name, for messages.
 
     Raises:
-        BadInput: truncated, damaged, nested too deeply or unfolding to too much.
+        BadInput: truncated, damaged, nested too deeply, or too large when unpacked.
     """
     # the mark MI in the byte order of the writer's machine
     order = "<" if data[126:128] == b"IM" else ">"
@@ -45,7 +45,9 @@ def _check_nesting(element: memoryview, order: str, source: str, budget: list[in
     """Refuse cells in structs in cells, because SciPy's reader calls itself for each."""
     budget[0] -= 1
     if depth > _DEEPEST or budget[0] < 0:
-        raise BadInput(f"{source}: nested too deeply or in too many parts; store one vector per variable")
+        raise BadInput(
+            f"{source}: its variables are nested too deeply or have too many parts; store one vector per variable"
+        )
     if len(element) < 24 or struct.unpack_from(f"{order}I", element)[0] != _MATRIX:
         return
     if struct.unpack_from(f"{order}I", element, 16)[0] & 0xFF not in _CONTAINERS:

@@ -44,11 +44,11 @@ class Header:
     """A parsed column name.
 
     Attributes:
-        stem: what is measured.
+        stem: the measured quantity.
         unit: its unit, or None.
-        unknown: what stands in the place of a unit and is none that we know, or None.
+        unknown: text in place of a unit that is not a known unit, or None.
         words: of the stem, in lower case.
-        role: "time", "input", "output" or None where its words say nothing or two things.
+        role: "time", "input", "output", or None if its words give none or two.
     """
 
     stem: str

@@ -35,17 +35,17 @@ class ReadOptions:
 
     Attributes:
         time_column, input_column, output_column: exact headers, or numbers of columns from 1.
-        time_unit, input_unit, output_unit: units of these columns, over what the file says.
+        time_unit, input_unit, output_unit: units of these columns, instead of the file's.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        rate: samples per second of files without time, and of any clock.
+        rate: samples per second of files without time, or instead of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
         separator, decimal, encoding: of text.
         sheet: of a workbook.
         split_by: a column, "sheet" or "group": a record for each of its values.
         from_s, to_s: the range of time of every recording, in s after its first row.
-        join: files with the other columns of the same rows, where time, input and output stand in separate files.
+        join: files with the other columns of the same rows, if time, input and output are in separate files.
         joint: of the joints that `each` in `pitp.toml` names, the one to read.
 
     Raises:
@@ -99,21 +99,23 @@ class ReadOptions:
         numbers = all(isinstance(value, (int, float)) and not math.isnan(value) for value in (first, last))
         if numbers and 0 <= first < last:
             return []
-        return [f"--from {self.from_s!r} --to {self.to_s!r} is not a range of time: give seconds, 0 <= from < to"]
+        return [f"--from {self.from_s!r} --to {self.to_s!r} is not a time range; give seconds with 0 <= from < to"]
 
     def _text_problems(self) -> list[str]:
         problems = []
         if self.header_line is not None and not (isinstance(self.header_line, int) and self.header_line > 0):
-            problems.append(f"--header-line {self.header_line!r} is not a line, counted from 1")
+            problems.append(f"--header-line {self.header_line!r} is not a line number; give a whole number from 1")
         if self.units_line is not None and self.units_line != "none" and not str(self.units_line).isdecimal():
-            problems.append(f"--units-line {self.units_line!r} is not a line, counted from 1, or none")
+            problems.append(
+                f"--units-line {self.units_line!r} is not a line number; give a whole number from 1, or none"
+            )
         if self.separator is not None:
             named = {"tab": "\t", "\\t": "\t", "blank": " ", "space": " ", "comma": ",", "semicolon": ";"}
             object.__setattr__(self, "separator", named.get(self.separator, self.separator))
             if len(self.separator) != 1 or self.separator.isalnum() or self.separator in '\n\r"':
-                problems.append(f"--separator {self.separator!r} is not a character (or tab, blank)")
+                problems.append(f"--separator {self.separator!r} is not a separator; give one character, tab or blank")
         if self.decimal not in (None, ".", ","):
-            problems.append(f"--decimal {self.decimal!r} is neither . nor ,")
+            problems.append(f"--decimal {self.decimal!r} is not a decimal mark; give . or ,")
         try:
             "".encode(self.encoding or "utf-8")
         except LookupError:
@@ -167,7 +169,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
     """Return the options with those of `pitp.toml` beside the file; options of the caller take precedence.
 
     Raises:
-        BadInput: the file is not TOML, holds keys that are not options, or names joints and the caller names none.
+        BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
     """
     said = _of_file(path)
     source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
@@ -178,7 +180,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
     # the options of the caller
     own = {f.name: getattr(options, f.name) for f in fields(options)}
     if options.joint is not None and options.joint not in joints:
-        raise BadInput(f"{cleaned(path)}: {source} names no joint {options.joint!r}; add it to `each` there")
+        raise BadInput(f"{cleaned(path)}: {source} has no joint {options.joint!r}; add it to `each` there")
     if options.joint is not None:
         said |= dict(zip(("input_column", "output_column"), joints[options.joint], strict=True))
     elif joints and not (own["input_column"] or own["output_column"]):
@@ -217,7 +219,7 @@ def joints_of(each: Any) -> dict[str, tuple[str, str]]:
         BadInput: another form, or two joints of one name.
     """
     if not isinstance(each, (list, dict)):
-        raise BadInput("each is a list of NAME=INPUT,OUTPUT, one for every joint")
+        raise BadInput("each must be a list of NAME=INPUT,OUTPUT, one for every joint")
     pairs = [str(joint).partition("=")[::2] for joint in each] if isinstance(each, list) else list(each.items())
     joints = {}
     for name, ports in pairs:
@@ -225,7 +227,7 @@ def joints_of(each: Any) -> dict[str, tuple[str, str]]:
         if not name or "/" in name or name.startswith(".") or len(columns) != 2 or not all(map(str, columns)):
             raise BadInput(f"--each {cleaned(name)}: give NAME=INPUT,OUTPUT, the exact headers of one joint")
         if name in joints:
-            raise BadInput(f"--each: two joints have the name {cleaned(name)}; give each joint another name")
+            raise BadInput(f"--each: two joints have the name {cleaned(name)}; give each joint its own name")
         joints[name] = str(columns[0]), str(columns[1])
     return joints
 
@@ -239,18 +241,16 @@ def _of_file(path: Path) -> dict[str, Any]:
     try:
         tables = tomllib.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
-        raise BadInput(f"{source}: not readable as TOML ({cleaned(error)[:100]}); correct it") from None
+        raise BadInput(f"{source}: cannot be read as TOML ({cleaned(error)[:100]}); correct the file") from None
     known = {option_of(f.name): f.name for f in fields(ReadOptions) if f.name != "joint"} | {"each": "each"}
     said = {}
     for glob, table in tables.items():
         if not isinstance(table, dict):
-            raise BadInput(
-                f'{source}: {cleaned(glob)!r} stands outside a table; put it below ["GLOB"], such as ["*.csv"]'
-            )
+            raise BadInput(f'{source}: {cleaned(glob)!r} is outside a table; put it below ["GLOB"], such as ["*.csv"]')
         strange = [cleaned(key) for key in table if key.replace("_", "-") not in known]
         if strange:
             keys = ", ".join(sorted(known))
-            raise BadInput(f"{source}: {', '.join(strange)}: no option of reading; the keys are {keys}")
+            raise BadInput(f"{source}: {', '.join(strange)}: unknown key; the keys are {keys}")
         # later tables take precedence, so that one file can differ from its kind
         if fnmatch(path.name, glob):
             said |= {known[key.replace("_", "-")]: value for key, value in table.items()}

@@ -17,9 +17,9 @@ class Refused(BadInput):
 
     Attributes:
         source: the file.
-        why: what is wrong, without the file.
-        options: words of a command line that cure it; empty where none does.
-        aside: what may be shortened: the columns here.
+        why: the problem, without the file.
+        options: words of a command line that solve it; empty if none does.
+        aside: text that may be shortened: the columns of the file.
     """
 
     def __init__(self, source: str, why: str, options: Sequence[str] = (), aside: str = ""):
@@ -34,12 +34,12 @@ def composed(
     """Return one line of at most 600 characters; the problem is shortened before the command.
 
     Args:
-        sources: the files it is about.
-        why: what is wrong.
-        options: that cure it.
-        aside: told where there is room.
+        sources: the files concerned.
+        why: the problem.
+        options: that solve it.
+        aside: added if there is room.
         paths: for the command.
-        before: what stands before the first file.
+        before: text before the first file.
     """
     short = [os.path.basename(source) for source in sources] if options else sources  # the command has the whole path
     named = ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")
@@ -57,7 +57,7 @@ def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) 
 
     Args:
         refusals: of single files.
-        files: how many were tried.
+        files: number of files tried.
         paths: as the user gave them, for the command.
     """
     if len(refusals) == 1:

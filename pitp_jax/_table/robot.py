@@ -38,7 +38,7 @@ def is_bag(path: Path) -> bool:
 def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
     """Return the columns of a Parquet file: dates as seconds, lists as `name[1]`, ..., units from the metadata."""
     if not file_bytes(path, 4).startswith(b"PAR1"):
-        raise BadInput(f"{cleaned(path)}: is not a Parquet file as its suffix says; write it again")
+        raise BadInput(f"{cleaned(path)}: is not a Parquet file although its suffix says so; write it again")
     import pandas as pd  # imported here, because `pitp info` reads no table
     import pyarrow.parquet
 

@@ -33,7 +33,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
         raise BadInput(f"{source}: a LabVIEW file without a table below its header; write it again")
     if clock.lower() == "multi":
         raise BadInput(
-            f"{source}: LabVIEW wrote a clock for every channel (X_Columns Multi); write one (X_Columns One)"
+            f"{source}: LabVIEW wrote one clock per channel (X_Columns Multi); write one clock for all (X_Columns One)"
         )
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
     if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names omitted

@@ -47,7 +47,7 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
     # points separate dates in which the day comes first; within a day the order changes no step
     if "." in dated[0] or all(np.array_equal(np.diff(read[0]), np.diff(v), equal_nan=True) for v in read):
         return read[0]
-    raise ValueError("the day or the month may come first")
+    raise ValueError("day and month cannot be told apart")
 
 
 def _dates(series, order: str) -> np.ndarray | None:

@@ -23,8 +23,8 @@ class Column:
 
     Attributes:
         name: its exact header, cleaned.
-        beside: what the file says of its unit beside the header (units row, attribute), or None.
-        spoken: what a comment says of it; counts only where nothing else does.
+        beside: its unit in the file outside the header (units row, attribute), or None.
+        spoken: its unit in a comment; used only if there is no other.
         form: "number", "stamp" (dates and hours, loaded as seconds) or "text".
         clock: (first time, step) in s of a channel that has its own clock, or None.
     """
@@ -42,13 +42,13 @@ class Table:
 
     Attributes:
         path: the file.
-        columns: those it has, in file order, repeats included.
-        load: from places among them to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
+        columns: in file order, with repeats.
+        load: function from their places to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
         place: words for a sample index from 0 (`sample 7 (line 9)`).
-        form: what was recognised, for the summary (`text, separated by ';', decimal comma`).
+        form: recognised format, for the summary (`text, separated by ';', decimal comma`).
         part: the sheet or group that it is, or empty.
-        hint: what the file says of its rate in a place that is no column (`Delta_X 0.001`), or empty.
-        blanks: empty lines among the rows, which lose a sample each where there is no clock.
+        hint: the rate given in the file outside the columns (`Delta_X 0.001`), or empty.
+        blanks: empty lines among the rows; without a clock each is a lost sample.
         texts: the values of a column as text, for splitting by it.
     """
 
@@ -88,11 +88,11 @@ def array_table(
     Args:
         path: the file.
         stored: arrays, or functions that read one, by name.
-        form: what the file is called.
+        form: name of the file format.
         beside: units beside the data, by name.
-        part: the group, where the file is split by groups.
+        part: the group, if the file is split by groups.
         clocks: (first time, step) of channels that have their own clock.
-        shapes: of what is not read yet; a matrix of samples is a column for each of its lines, counted from 1.
+        shapes: of the arrays not read yet; a matrix of samples gives a column for each of its lines, counted from 1.
 
     Raises:
         BadInput: more columns than reasonable.

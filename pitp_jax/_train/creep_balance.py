@@ -58,9 +58,9 @@ class SlowBalance:
     """The windows of a long record, in the scales of one model.
 
     Attributes:
-        series: what was measured.
-        scale: per window, from a scaled force to 100 x / range; 0 where the window does not count.
-        seconds: how long the record is.
+        series: the measured series.
+        scale: per window, factor from a scaled force to 100 x / range; 0 if the window does not count.
+        seconds: length of the record, s.
     """
 
     series: _Series

@@ -6,8 +6,9 @@ If fitted and predicted errors are similar, the records describe the actuator. I
 than fitted, either it contains something that no other record does, or the model has learned the records instead.
 """
 
+import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from .._errors import BadInput, ComputationFailed
 from .._model.fitted import Fitted
@@ -24,7 +25,7 @@ _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warni
 class HeldOut:
     """Errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
 
-    `problem`: why there is no model of the others; then `predicted` is infinite.
+    `problem`: why training on the other records failed; then `predicted` is infinite.
     """
 
     name: str
@@ -39,6 +40,13 @@ class HeldOut:
         return not self.predicted <= _WORSE * self.fitted
 
 
+def with_left_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
+    """Keep the errors of the recordings left out in the model's origin, % of range; None where there is no model."""
+    errors = {h.name: h.predicted if math.isfinite(h.predicted) else None for h in held_out}
+    training = {**(model.origin.training or {}), "left_out_errors": errors}
+    return Fitted(model.model, replace(model.origin, training=training))
+
+
 def cross_validate(
     nominal: Model | Fitted | Callable[[Sequence[Record]], Fitted],
     records: Sequence[Record],
@@ -50,7 +58,7 @@ def cross_validate(
     """Train once without every record that moves, and predict it.
 
     Args:
-        nominal: to start from, or a function that identifies one on the records that it is given.
+        nominal: the initial model, or a function that identifies one on given records.
         records: the training records.
         model: trained on all of them, for the fitted errors.
         key, options: as for `train`.
@@ -66,7 +74,7 @@ def cross_validate(
     """
     moving, _ = in_motion(records)  # any model predicts a still record
     if len(moving) < 2:
-        raise BadInput("cross-validation leaves one record out: give at least two records in which something moves")
+        raise BadInput("cross-validation leaves out one recording at a time; give at least two recordings with motion")
     fitted = errors(model, moving)
     return tuple(
         _held_out(nominal, moving, k, float(fitted[k]), lambda r: train(*r, key=key, **options))

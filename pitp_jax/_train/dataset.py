@@ -27,7 +27,7 @@ class Dataset:
         model: the nominal in the new scales, with the memory (tokens still constant).
         equation: valid samples of all records, flat.
         features: per record the scaled state and memory at every sample, shape (T, n + K).
-        valid: per record, samples whose filtered state may be trusted, shape (T,).
+        valid: per record, True where the filtered state is valid, shape (T,).
         region: lowest and highest value of every feature over valid samples.
     """
 
@@ -68,7 +68,10 @@ def build_dataset(
         for r, f in zip(records, forces, strict=True)
     ]
     if not any(s.valid.any() for s in states):
-        raise BadInput("no sample of these records survives filtering: gaps are too dense or records too short")
+        raise BadInput(
+            "no sample of these recordings remains after filtering, because they are too short or have too "
+            "many gaps; record longer ones"
+        )
     model = _rescaled(nominal, states, forces, f_max, scaling)
     model = eqx.tree_at(lambda m: m.memory, model, memory(states))
     scale = model.scales.state
@@ -114,7 +117,7 @@ def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:
-    """Return the same nominal model in scales taken from the training data.
+    """Return the nominal model in scales taken from the training data.
 
     "rms": each derivative over its training rms. "paper": eq. 3, x^(i) over x_rms d^(i - k/2...) with d = 2 pi f_max,
     centred on k = floor(n/2) with a factor sqrt(d) per derivative.

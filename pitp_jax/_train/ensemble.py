@@ -23,6 +23,7 @@ import scipy
 from jax.experimental.multihost_utils import process_allgather
 from jaxtyping import Float
 
+from .._errors import BadInput
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
 from .._model.own_encoder import own_module
@@ -48,7 +49,7 @@ class Ensemble(Shown):
         models: K models, each usable alone.
         error: rms error of the mean on the training records, over the range of each.
         errors: quantiles of |error| / range on those records, at evenly spaced levels from 0 to 1. Empty: `error` times
-            Student's quantile of K - 1 stands for them.
+            Student's quantile of K - 1 is used.
         records: number R of those records.
 
     Raises:
@@ -84,7 +85,7 @@ class Ensemble(Shown):
         _enough(len(self.models))
         first, *others = (_make(model_of(m)) for m in self.models)
         if any(other != first for other in others):
-            raise ValueError("members differ in their parts, scales or output: train them from one nominal")
+            raise ValueError("members differ in their parts, scales or output; train them from one nominal model")
 
 
 @dataclass(frozen=True, repr=False)
@@ -94,8 +95,8 @@ class Band(Shown):
     Attributes:
         name: of the record.
         displacement, half_width: mean and half the band, rig coordinates (m or V), shape (T,); nan from the sample
-            where a member left every range.
-        diverged: whether one did.
+            where a member diverged.
+        diverged: whether a member diverged.
         scored: samples that count, shape (T,), as for `Prediction`.
     """
 
@@ -116,7 +117,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
         **options: as for `train`.
 
     Returns:
-        models, and the error that their spread does not show.
+        models, and the error not shown by their spread.
 
     Raises:
         ValueError: fewer than 2 members.
@@ -142,20 +143,23 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     Args:
         ensemble: of `train_ensemble`.
         records: of one sampling rate.
-        level: share of samples the band should cover.
+        level: fraction of samples that the band should cover.
 
     Returns:
         mean and half width per record.
 
     Raises:
-        ValueError: a level that is no share between 0 and 1.
+        ValueError: a level outside 0 to 1.
+        BadInput: not an ensemble, or not a list of records of one sampling rate.
 
     Examples:
         >>> pitp.predict_band(pitp.Ensemble((model, model), error=0.01), records)[0].half_width.shape
         (2000,)
     """
     if not 0 < level < 1:
-        raise ValueError(f"level {level} is no share between 0 and 1; 0.95 covers 95 %")
+        raise ValueError(f"level {level} is not between 0 and 1; give 0.95 to cover 95 %")
+    if not isinstance(ensemble, Ensemble):
+        raise BadInput(f"a {type(ensemble).__name__} is not an ensemble: give what train_ensemble returns")
     check_set(records)
     models = [at_rate(model_of(m), records[0].dt) for m in ensemble.models]
     finest = max(m.substeps for m in models)  # one program runs all members, with the steps of the one that needs most
@@ -180,7 +184,7 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
 
 def _enough(members: int) -> None:
     if members < 2:
-        raise ValueError(f"an ensemble needs at least 2 members, got {members}")
+        raise ValueError(f"an ensemble needs at least 2 members, not {members}")
 
 
 def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:

@@ -47,7 +47,7 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
         key: turns dropout on.
 
     Returns:
-        The total, and (L1, L2) apart.
+        The total, and (L1, L2).
     """
     # a key for every sample, because one for all would drop the same units in the whole batch
     keys = None if key is None else jax.random.split(key, data.force.shape[0])

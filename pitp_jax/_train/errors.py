@@ -140,11 +140,11 @@ def kept(
         )
         lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
         what = "a model between it and the nominal" if good else "the nominal itself"
-        return chosen, [f"training failed: the best start is worse than the nominal on {lost}; {what} is handed back; "
-                        "look at these records with `pitp check`, or leave them out"], what  # fmt: skip
+        return chosen, [f"training failed: the best start is worse than the nominal model on {lost}, so {what} is "
+                        "returned. Run `pitp check` on these recordings, or leave them out"], what  # fmt: skip
     if not chosen.converged:
-        both = f"{chosen.mean:.3g} % of range is left on average, {_mean(chosen.nominal):.3g} % by the nominal"
-        return chosen, [f"not converged: {both}; `pitp diagnose` looks for what this model lacks"], None
+        both = f"the mean error is {chosen.mean:.3g} % of range, the nominal's {_mean(chosen.nominal):.3g} %"
+        return chosen, [f"training did not converge: {both}. Run `pitp diagnose` to find the missing effect"], None
     return chosen, [], None
 
 

@@ -30,7 +30,7 @@ _AT_ONCE = 16  # blocks side by side; their data stay in a core's memory
 class Runs(eqx.Module):
     """Free runs to be fitted: starts, voltages, scaled displacements and weights of the samples.
 
-    `own_zero`: 1 where a run has a sensor zero of its own, projected out of its errors (variable projection).
+    `own_zero`: 1 where a run has its own sensor offset, projected out of its errors (variable projection).
     """
 
     start: Float[Array, "records state"]
@@ -66,8 +66,8 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
 def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
     """Weight rows by c = sqrt(every w), minus c (c . row) / (c . c) if a run has its own sensor offset.
 
-    That is the residual after the best zero, and the same projection of its slopes is exact (variable projection for
-    a number that enters linearly).
+    The result is the residual after the best offset. The same projection of its derivatives is exact (variable
+    projection for a linear parameter).
     """
     c = jnp.sqrt(every * runs.weight)[:, : rows.shape[1] * every : every, None]
     rows = c * rows
@@ -98,7 +98,7 @@ class _Local:
     def substep(self, state, volts, volts_by):
         """Differentiate one substep: A_t, dg/dl, N_t without the encoder's part, its features, and the next state.
 
-        The encoder is differentiated apart: through its few logits its many weights cost one reverse pass a block.
+        The encoder is differentiated separately: with its few logits, all weights cost one reverse pass per block.
         """
         n, h, core = self.numbers, self.h, state[: self.core]
 
@@ -139,7 +139,7 @@ class _Local:
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):
-        """Compute the slope of the reading from that of the state."""
+        """Compute the derivatives of the reading from those of the state."""
         if not self.with_effects:
             return answer[0]  # the sensor shows x itself
         n = self.numbers
@@ -157,7 +157,7 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         return phi @ answer + new, jax.vmap(local.sensed)(state, answer)
 
     def chunk(answer, item):
-        """Compute blocks side by side, then Z through them; the slope is taken at each block's first sample."""
+        """Compute blocks in parallel, then Z through them; derivatives are taken at each block's first sample."""
         blocks = item[0][:, :, 0], *jax.vmap(jax.vmap(local.block))(*item)
         return jax.lax.scan(through, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), blocks))
 

@@ -39,15 +39,15 @@ class _OverRuns(eqx.Module):
 
 
 class FreeRuns:
-    """Residuals and slopes of batches of runs, as blocks (`minimise.accelerated`).
+    """Residuals and derivatives of batches of runs, as blocks for `minimise.accelerated`.
 
     Args:
-        model: whose trained numbers are moved.
-        batches: runs to be met, each batch of one length.
+        model: its trained parameters are fitted.
+        batches: runs to be fitted, each batch of one length.
         dt: sampling interval, s.
-        every: every how many samples the error is taken.
-        prior: rho and p_0 per trained number.
-        slow: what else is to be met.
+        every: the error is taken at every `every`-th sample.
+        prior: rho and p_0 per trained parameter.
+        slow: the slow balance to be fitted as well.
         mesh: devices that share every batch; default one device, or all cores of a CPU.
     """
 

@@ -78,8 +78,8 @@ def refine(
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
 
-    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: what else is to be fitted.
-    `windows`: whether they come first. `emphasis`: how often each whole record counts; default once.
+    `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
+    as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
     """
     how = _How(records[0].dt, report, firmness, slow, mesh)
     longest = max(r.samples for r in records) * how.dt / _period(model)  # in periods
@@ -110,7 +110,7 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
     costs, began = [], time.monotonic()
     for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, parameters(model)[0])):
         if not np.isfinite(cost):
-            raise ComputationFailed("the free runs diverged before refinement; check the records for spikes")
+            raise ComputationFailed("the free runs diverged before refinement; check the recordings for spikes")
         costs.append(cost)
         remaining = (time.monotonic() - began) / (k + 1) * (count - k)
         how.report(stage, k, count, cost, min(costs), remaining)
@@ -143,7 +143,7 @@ def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
 def thinning(model: Model, dt: float) -> int:
     """Return the sampling step of the error: ten samples per period of the resonance, at most every eighth sample.
 
-    Neighbours on a smooth run are redundant, and the slopes of fewer samples cost less.
+    Neighbours on a smooth run are redundant, and fewer samples need fewer derivatives.
     """
     return int(np.clip(_period(model) / dt / 10, 1, 8))
 
@@ -183,13 +183,13 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """Complete a filtered state by the effects' states as if it had been held there."""
+    """Complete a filtered state by the effects' states as if settled there."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """Return the length (samples) of the longest free run: the longest record, if all or some such fit the budget."""
+    """Return the length of the longest free run, samples: the longest record, or less if the budget requires it."""
     longest = max(r.samples for r in records)
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
     return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))
@@ -209,7 +209,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """Return all records, or some whole records and the first parts of the others; each of the two counts half."""
+    """Return all records, or whole records and the beginnings of the others, both groups with equal weight."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
@@ -238,7 +238,7 @@ def _from_the_start(
 ) -> Runs:
     """Pad the first `size` samples to arrays; samples used to estimate an initial state have no weight.
 
-    A held record with the offset of those at rest starts at its measured level, and so determines the static curve.
+    A held record with the offset of those at rest starts at its measured level, and thus determines the static curve.
     Others that do not start at rest have their own offset, projected out of their errors.
     """
     shape = len(records), size

@@ -17,7 +17,7 @@ from .._invert.motion import equation_of, features_of, motion_along
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model
-from .._model.programs import jit
+from .._model.programs import jit, signal
 from .._record.preprocess import BUTTERWORTH_ORDER, ENERGY_FRACTION, SETTLING
 from .._simulate import ports
 from .._simulate.decoder import scaled_force
@@ -48,7 +48,7 @@ def residual(
         zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
 
     Returns:
-        residual, shape (time,): the force that the motion needs minus that of the voltage.
+        residual, shape (time,): the force that the motion requires minus that of the voltage.
 
     Examples:
         >>> u = 500.0 * (1 - jnp.cos(jnp.linspace(0.0, 12.0, 400)))
@@ -57,7 +57,8 @@ def residual(
         True
     """
     model = model_of(model)
-    u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
+    dtype = model.coefficients.dtype
+    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
     return _measured(model, u, x, model.dt, cutoff_hz, zero)[0]
 
 
@@ -76,7 +77,7 @@ def residual_loss(
 
     Args:
         model, voltage, displacement, cutoff_hz, zero: as of `residual`.
-        box: lowest and highest factor on the nominal tokens that costs nothing; default none does.
+        box: lowest and highest factor on the nominal tokens without a penalty; default no penalty.
         width: of Huber's quadratic part, in units of the model's force.
         penalty: alpha and beta, the costs of a unit above and below the box.
 
@@ -90,7 +91,8 @@ def residual_loss(
         True
     """
     model = model_of(model)
-    u, x = (jnp.asarray(a, model.coefficients.dtype) for a in (voltage, displacement))
+    dtype = model.coefficients.dtype
+    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
     return _loss(model, u, x, model.dt, cutoff_hz, zero, box, width, penalty)
 
 

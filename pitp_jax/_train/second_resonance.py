@@ -76,7 +76,7 @@ class _Rows(NamedTuple):
     weight: np.ndarray
 
     def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        """Return one column (or several) of all records in sequence."""
+        """Return values of the used samples of all records in sequence; `column` takes them from one record."""
         return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
 
     @property
@@ -106,7 +106,7 @@ def _rows(states: Sequence[StateRecord]) -> _Rows:
 
 
 def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
-    """Compute all phi, weighted, each of length one."""
+    """Compute all weighted columns phi, each normalised to length one."""
     dt = seen.states[0].dt
     motion = seen.read(lambda s: s.states)
     motion = motion / np.sqrt(np.mean(motion**2, 0))

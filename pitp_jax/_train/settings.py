@@ -47,26 +47,27 @@ class Settings:
         encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
         width: hidden size of the compact encoder's nets.
         offset: whether the compact encoder has an offset token.
-        few: with fewer records than that, behind a square, the compact encoder is a smaller one (`frugal`): damping
-            blind to memories, one coupling for all tokens.
+        few: below this number of records with a squared input, the compact encoder is smaller (`frugal`): damping
+            independent of memories, one coupling for all tokens.
         memory: "fading", "elapsed" or "none".
-        memories: how many fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
-            one that the nominal keeps, where that outlasts training (`creep_balance`).
-        ringing: whether a second mass is looked for along the motion (`second_resonance`).
-        drive: "electrode" (a lag before the square, where there is one, learned from 0.1 / omega_0 on) or "direct".
-        parts: what else lies between amplifier and sensor, learned from 0.1 / omega_0 on: "delay", "sensor_lag".
+        memories: number of fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
+            nominal's stored record if that is longer than training (`creep_balance`).
+        ringing: whether to test for a second mass along the motion (`second_resonance`).
+        drive: "electrode" (a learned lag before the square, if there is a square, initially 0.1 / omega_0) or "direct".
+        parts: further learned parts between amplifier and sensor, initially 0.1 / omega_0: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
         epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
-        stages: most stages.
-        tolerance [epsilon]: a stage must lower the physics residual by this fraction to earn another.
+        stages: largest number of stages.
+        tolerance [epsilon]: another stage follows only if a stage lowers the physics residual by this fraction.
         huber: width of SmoothL1 in units of the largest force.
         batch: minibatch size.
-        refine_steps: most steps of Levenberg-Marquardt (Jacobians) on free runs.
-        starts: most starts of the free runs, where the first leaves a record worse than the nominal or converges badly.
-        firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other number has
-            1e-4. Default: 1e-4; with `few` records behind a square 0.06 over their number, since the error is a mean
-            over records; 1e-3 behind a linear input, where it extrapolates in amplitude.
+        refine_steps: largest number of Levenberg-Marquardt steps (Jacobians) on free runs.
+        starts: largest number of starts of the free runs, if the first makes a record worse than the nominal or
+            converges badly.
+        firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other parameter has
+            1e-4. Default: 1e-4; with `few` records and a squared input 0.06 over their number, because the error is a
+            mean over records; 1e-3 for a linear input, where it extrapolates in amplitude.
 
     Raises:
         BadInput: an unknown word.
@@ -99,13 +100,13 @@ class Settings:
     firmness: float | None = None
 
     def __post_init__(self):
-        """Refuse an unknown word, which would silently act as the default."""
+        """Refuse unknown words, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
-                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown: use one of {', '.join(known)}")
+                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
         for part in self.parts:
             if part not in PARTS:
-                raise BadInput(f"settings: part {part!r} is unknown: use {' or '.join(PARTS)}")
+                raise BadInput(f"settings: part {part!r} is unknown; use {' or '.join(PARTS)}")
 
 
 PRESETS = {
@@ -120,7 +121,7 @@ PRESETS = {
 def preset_of(name: str) -> Settings:
     """Return the preset of that name; refuse an unknown one."""
     if name not in PRESETS:
-        raise BadInput(f"unknown preset {name!r}: use one of {', '.join(PRESETS)}")
+        raise BadInput(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}")
     return PRESETS[name]
 
 
@@ -129,7 +130,8 @@ def memory_of(
 ) -> AbstractMemory:
     """Build the memory of the settings, its time constants from the resonance to the longest record.
 
-    With a `long` record, up to a quarter of it, in which a lag can settle. With a second mass if the motion shows one.
+    A `long` record extends them to a quarter of its length, in which a lag can settle. A second mass is added if the
+    motion shows one.
     """
     longest = max(len(s.time) * s.dt for s in states)
     # a lag as long as the record would be a ramp in it, and no sample would show its final value
@@ -165,7 +167,7 @@ def _small_encoder(model: Model) -> bool:
 def with_drive(model: Model, settings: Settings) -> Model:
     """Return the model with the electrode's initial lag for free runs; the equation error ignores the lag.
 
-    Without a square behind it a lag is one more linear pole, which the order already includes.
+    Without a square after it, a lag is one more linear pole, which the order already includes.
     """
     if settings.drive != "electrode" or not model.input_map.one_sided:
         return model

@@ -22,6 +22,7 @@ import optax
 from jax.sharding import Mesh
 
 from .._errors import BadInput, ComputationFailed
+from .._model.coverage import with_excited
 from .._model.fitted import Fitted, fitted_of
 from .._model.memory import RingingMemory
 from .._model.model import Model
@@ -94,21 +95,20 @@ def train(
 ) -> Training:
     """Train an encoder on records, starting exactly at the nominal model.
 
-    On no training record is the model worse than the nominal by more than a hundredth: where no start leads to such a
-    one, the nominal is handed back in the trained model's form, and `fallback` says so. Records that are oversampled
-    are averaged over blocks first (`reduce_rate`); the model is one for their own rate.
+    On every training record the model is at most 1 % worse than the nominal. If no start achieves this, the nominal is
+    returned in the trained model's form, and `fallback` reports it. Oversampled records are first averaged over blocks
+    (`reduce_rate`); the model remains valid for their own rate.
 
     Args:
         nominal: an identified model (`Fitted`, or a bare `Model`); order, input map, hold and output are kept. Its
-            effects come in with the free runs, and their numbers are fitted along.
-        records: the training records, one sampling rate; those in which nothing moves are left out (`in_motion`).
+            effects are added with the free runs, and their parameters are fitted as well.
+        records: the training records, one sampling rate; records without motion are left out (`in_motion`).
         preset: "default" or "paper"; `settings` overrides it.
         progress: called after every epoch and every refinement step.
         mesh: devices of this process that share the free runs, by records (`records_mesh`); default one device.
-        encoder: your own, in place of the preset's: an Equinox module as `OwnEncoder` describes it, or
-            fn(features, logits, key=key) that makes one. With a module no second mass is looked for, so that it takes
-            order + `Settings.memories` features. Training starts where its weights put it: at the nominal if its last
-            layer is zero.
+        encoder: your own, instead of the preset's: an Equinox module as `OwnEncoder` describes it, or fn(features,
+            logits, key=key) that makes one. With a module there is no test for a second mass, so it takes order +
+            `Settings.memories` features. Training starts from its weights: at the nominal if its last layer is zero.
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
@@ -125,7 +125,7 @@ def train(
     settings = _settings_for(encoder, preset_of(preset) if settings is None else settings)
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
-        raise BadInput("training runs in one process: its mesh may only hold jax.local_devices()")
+        raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
     seen, motionless = in_motion(records)
     parent = fitted_of(nominal)
     many = sum(r.samples for r in seen) > BUDGET
@@ -148,7 +148,7 @@ def train(
             raise
         interrupted = True  # the best model so far is returned after an interrupt, and marked as interrupted
     if best is None:
-        raise BadInput("settings allow no training stage: set stages to 1 or more")
+        raise BadInput("settings: no training stage; set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
     if records[0].dt != seen[0].dt:  # trained on block means, but judged on the original records
         chosen = judge(parent, seen)(chosen.model.sampled(seen[0].dt, parent.hold))
@@ -161,6 +161,7 @@ def train(
     domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
     # With an encoder, the origin's statements on the coefficients no longer describe the model.
     origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
@@ -170,7 +171,7 @@ def _settings_for(encoder, settings: Settings) -> Settings:
     if encoder is not None:
         return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
     if settings.encoder == "own":
-        raise BadInput("settings: encoder 'own' needs the encoder itself: give train(..., encoder=MODULE)")
+        raise BadInput("settings: encoder 'own' needs your encoder; give train(..., encoder=MODULE)")
     return settings
 
 
@@ -187,7 +188,7 @@ def _prepared(
 ) -> tuple[Dataset, SlowBalance | None]:
     """Prepare the training data, with the slow balance if the nominal's long record outlasts the free runs.
 
-    Not if the nominal has effects of its own, which that balance does not include.
+    A nominal with its own effects is excluded, because that balance does not include them.
     """
 
     def dataset(long: LongRecord | None) -> Dataset:
@@ -211,8 +212,8 @@ def _attempts(
     """Yield (best model so far, history entry): the usual start, and others if it does not converge.
 
     1: the stages on the equation error, then free runs. 2: if few records are worse than with the nominal, free runs
-    once more with those weighted by how much worse they are. 3, 4, ...: free runs from the nominal itself, whose
-    logits are zero, with ten times firmer nets each time.
+    again, with those records weighted by their degradation. 3, 4, ...: free runs from the nominal itself, whose logits
+    are zero, with ten times firmer nets each time.
     """
 
     def report(stage, step, steps, value, best, remaining):
@@ -249,7 +250,7 @@ def _attempts(
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """Yield the steps of one start until its free runs diverge, which ends this start but not the training."""
+    """Yield the steps of one start until its free runs diverge; training continues with other starts."""
     try:
         yield from steps
     except ComputationFailed:

@@ -83,7 +83,7 @@ def test_info_reports_the_learned_lag_of_the_electrode(days, call, tmp_path):
 
 def test_two_of_the_same_are_the_same(days, call):
     code, text, _ = call("compare", days / "m", days / "m")
-    assert code == 0 and "differ by no more" in text and "Both hold the same model." in text
+    assert code == 0 and "do not differ beyond" in text and "Both hold the same model." in text
 
 
 def test_bad_input_is_one_line_and_writes_nothing(days, call, tmp_path):

@@ -41,6 +41,10 @@ def test_pages_figures_and_numbers_are_written(demo, call, tmp_path, monkeypatch
 
 def test_options_of_the_other_kind_are_refused(demo, call):
     argv = ["diagnose", demo / "robot"]
-    assert "--refit-nominal is for --nominal" in refused(call(*argv, "--against", demo / "sim", "--refit-nominal"))
-    assert "--position-gain is for --against" in refused(call(*argv, "--nominal", demo / "x", "--position-gain", "2"))
+    assert "--refit-nominal only works with --nominal" in refused(
+        call(*argv, "--against", demo / "sim", "--refit-nominal")
+    )
+    assert "--position-gain only works with --against" in refused(
+        call(*argv, "--nominal", demo / "x", "--position-gain", "2")
+    )
     assert "--nominal" in refused(call(*argv))

@@ -86,7 +86,7 @@ def test_simulate_writes_the_rollout_in_the_rigs_units(call, bench, tmp_path):
     out, file = tmp_path / "out", tmp_path / "j"
     code, text, err = call("simulate", bench / "nominal", plain, measured, held, "--out", out, "--json", file)
     assert code == 0, err
-    assert "'displacement_mm' is a measurement and ignored" in err and "held: starts at 1000 V" in err
+    assert "'displacement_mm' is a measurement and was ignored" in err and "held: starts at 1000 V" in err
     right = 1e3 * lsim(([1.0], COEFFICIENTS[::-1]), voltage**2, TIME)[1]
     for name, unit in (("plain", "kV"), ("measured", "V")):
         header, values = columns_of(out / f"{name}.csv")
@@ -127,7 +127,7 @@ def test_simulate_says_how_far_it_leaves_the_range(call, bench, tmp_path):
     low, high = model_file.load(bench / "nominal").domain.voltage_range
     drive_file(tmp_path / "wide.csv", np.linspace(low, high + 0.5 * (high - low), len(TIME)))
     code, _, err = call("simulate", bench / "nominal", tmp_path / "wide.csv", "--out", tmp_path / "out")
-    assert code == 0 and "leaves that range by 50 % of its width" in err
+    assert code == 0 and "extrapolates by 50 % of that range's width" in err
 
 
 def test_simulate_fails_only_where_all_diverge(call, bench, tmp_path, monkeypatch):
@@ -164,8 +164,8 @@ def test_predict_prints_zeros_and_directions_that_differ(call, bench, tmp_path):
         write_record(tmp_path / f"{name}.csv", voltage, change(x), units=("V", "mm"))
     code, text, _ = call("predict", bench / "nominal", tmp_path)
     assert code == 0
-    assert "reversed sensor (reads less as the actuator extends): 1 record (sine4)" in text
-    rows = text.split("the sensor's zero differs among the records:")[1]
+    assert "reversed sensor (its reading decreases as the actuator extends): 1 recording (sine4)" in text
+    rows = text.split("sensor offset of each recording:")[1]
     zero = next(line.split()[1] for line in rows.splitlines() if line.startswith("sine2"))
     assert float(zero) == pytest.approx(0.3, abs=2e-3)
-    assert "differs" not in call("predict", bench / "nominal", bench / "records")[1]
+    assert "sensor offset" not in call("predict", bench / "nominal", bench / "records")[1]

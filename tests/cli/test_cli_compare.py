@@ -43,6 +43,6 @@ def test_diagnoses_are_opened_by_folder_and_by_file(call, tmp_path):
 def test_what_is_not_of_one_kind_is_refused(call, bench, tmp_path):
     model_file.save(tmp_path / "m", truth())
     (tmp_path / "x.json").write_text("{}")
-    assert "give two of one kind" in refused(call("compare", tmp_path / "m", bench / "records"))
+    assert "give two of the same kind" in refused(call("compare", tmp_path / "m", bench / "records"))
     assert "not the JSON of a diagnosis" in refused(call("compare", tmp_path / "x.json", tmp_path / "x.json"))
     assert f"pitp compare {tmp_path / 'm'} {tmp_path / 'n'}" in refused(call("info", tmp_path / "m", tmp_path / "n"))

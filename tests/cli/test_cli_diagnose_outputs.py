@@ -147,8 +147,8 @@ def test_outputs_do_not_replace_inputs_or_each_other(bench, quick, call, tmp_pat
     (tmp_path / "d").mkdir()
     model_file.save(tmp_path / "d" / "model_augmented", truth())
     start = ["diagnose", bench / "records", "--nominal", tmp_path / "d" / "model_augmented"]
-    assert "would replace" in refused(call(*start, "--out", tmp_path / "d"))
-    assert "already used" in refused(call(*start, "--json", tmp_path / "d" / "model_augmented"))
+    assert "would overwrite" in refused(call(*start, "--out", tmp_path / "d"))
+    assert "is also given as" in refused(call(*start, "--json", tmp_path / "d" / "model_augmented"))
     nominal = ["diagnose", bench / "records", "--nominal", bench / "nominal"]
     refused(call(*nominal, "--out", tmp_path / "d", "--json", tmp_path / "d" / "report.html"))
     refused(call(*nominal, "--json", tmp_path / "no" / "j"))

@@ -9,6 +9,7 @@ import jax.numpy as jnp
 import pytest
 from cli_cases import refused, tree
 
+import pitp_jax as pitp
 from pitp_jax._commands.console import ProgressBar, say
 from pitp_jax._errors import BadInput, ComputationFailed
 from pitp_jax._model.encoder import CompactEncoder
@@ -125,6 +126,8 @@ def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
     row = {"nominal_e_rms_percent": 0.2, "trained_e_rms_percent": 0.5, "left_out_e_rms_percent": 7.0, "problem": None}
     assert told["records"]["sine4"] == row
     assert told["worse_than_nominal"] == ["sine4"] and told["problems"] == ["not converged"]
+    kept = pitp.load(tmp_path / "model").origin.training
+    assert kept is not None and kept["left_out_errors"] == {"sine2": 0.4, "sine4": 7.0}
 
 
 def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
@@ -161,7 +164,7 @@ def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, qu
     assert code == 0
     assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])
     assert quick_identify[0][1] | {"order": 2, "input_map": "square"} == quick_identify[0][1]
-    assert ("1 record (sweep)" if found else "no record is a sweep") in err
+    assert ("1 recording (sweep)" if found else "no recording is a sweep") in err
     assert trainer.calls[0][1] == ["sine2", "sine4", "sweep"]
 
 

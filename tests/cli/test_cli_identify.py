@@ -35,7 +35,7 @@ def test_identify_validates_and_draws(call, bench, tmp_path):
     assert all(order["delay"] == 0 for order in told["orders"])
     page = next((tmp_path / "page").glob("*.html")).read_text()
     assert "Order 2 was asked for." in page and "on 1 recording<" in page and page.count("<svg") == 3
-    assert "What is left is" in page
+    assert "The residual is" in page
     refused(call("identify", records, "--out", tmp_path / "n", "--no-delay", "--learn", "delay"))
 
 
@@ -47,7 +47,7 @@ def test_info(call, tmp_path, identified):
     assert told["coefficients_unit"] == ["V^2/m", "V^2 s/m", "V^2 s^2/m"]
     assert all(e > 0 for e in told["coefficients_stderr"])
     assert told["modes"][0]["natural_hz"] == pytest.approx(5, rel=1e-2)
-    assert "identified on 1 record (sweep)" in text
+    assert "identified on 1 recording (sweep)" in text
     assert "hold foh" in text
 
 
@@ -59,7 +59,7 @@ def test_info_of_a_trained_model(call, tmp_path):
     model_file.save(tmp_path / "m", truth(training=training))
     code, text, _ = call("info", tmp_path / "m")
     assert code == 0
-    assert "trained on 2 records (a, b) (9 samples) in 1.5 s, interrupted" in text
+    assert "trained on 2 recordings (a, b) (9 samples) in 1.5 s, interrupted" in text
     assert "stage 1: box 0.6 to 1.5, physics 0.1" in text
 
 

@@ -59,7 +59,7 @@ def test_invert_writes_what_a_daq_plays(call, bench, tmp_path, quick_inverse):
     assert call(*start, plain)[0] == 0
     code, text, _ = call(*start, played, "--unit", "kV", "--input-scale", "0.5", "--rate", "1000")
     assert code == 0
-    assert "the target begins at 0.2 s there, at 0 s of its own" in text
+    assert "the target starts at 0.2 s of it (0 s of the target's own clock)" in text
     (_, volts), (header, values) = columns_of(plain), columns_of(played)
     assert header == ["time_s", "voltage_kV", "target_mm", "infeasible", "saturated"]
     assert volts[0, 0] == values[0, 0] == 0
@@ -73,7 +73,7 @@ def test_invert_takes_another_zero_and_another_start(call, bench, tmp_path, quic
     start = ["invert", bench / "nominal", bench / "target.csv", "--out", tmp_path / "v.csv"]
     assert call(*start, "--zero", "2.5", "--start-input", "30")[0] == 0
     assert quick_inverse[0][3] == {"zero": pytest.approx(2.5e-3), "start_input": 30.0, "resample": True}
-    assert "neither rest nor sensor" in refused(call(*start, "--zero", "here"))
+    assert "is not rest, sensor or a number" in refused(call(*start, "--zero", "here"))
 
 
 @pytest.mark.parametrize("option", ["--rate", "--input-scale", "--max-displacement", "--unit"])

@@ -34,9 +34,9 @@ def test_a_folder_of_records_is_not_overwritten(call, bench, tmp_path):
     folder.mkdir()
     record = write_record(folder / "sine2.csv", *motion("sine2"))
     before = record.read_bytes()
-    assert "replace" in refused(call("predict", bench / "nominal", folder, "--out", folder))
-    assert "already used" in refused(call("predict", bench / "nominal", folder, "--json", record))
-    assert "already used" in refused(call("identify", folder, "--out", record, "--force"))
+    assert "would overwrite" in refused(call("predict", bench / "nominal", folder, "--out", folder))
+    assert "is also given as" in refused(call("predict", bench / "nominal", folder, "--json", record))
+    assert "is also given as" in refused(call("identify", folder, "--out", record, "--force"))
     assert "not written by pitp" in refused(call("identify", bench / "records", "--out", record))
     assert record.read_bytes() == before
     assert tree(folder) == ["sine2.csv"]
@@ -63,7 +63,7 @@ def test_unwritable_output(call, bench, tmp_path, monkeypatch):
         ["invert", bench / "nominal", bench / "target.csv", "--out", tmp_path / "v.csv"],
         ["demo", "--out", tmp_path / "d"],
     ):
-        assert "no right to write" in refused(call(*argv))
+        assert "no permission to write" in refused(call(*argv))
     assert tree(tmp_path) == []
 
 

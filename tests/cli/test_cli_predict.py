@@ -16,7 +16,7 @@ command = import_module("pitp_jax._commands.predict")  # the module: the package
 def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_path):
     out, file = tmp_path / "new" / "folder", tmp_path / "scores.json"
     code, text, err = call("predict", bench / "nominal", bench / "records", "--out", out, "--json", file)
-    assert code == 0 and err.startswith("pitp: read 3 records") and err.count("\n") == 1
+    assert code == 0 and err.startswith("pitp: read 3 recordings") and err.count("\n") == 1
     result = json.loads(file.read_text())
     assert list(result) == ["written_by", "records", "median_e_rms_percent"]
     assert set(result["records"]) == set(DRIVES)
@@ -48,7 +48,9 @@ def test_predict_counts_missing_samples_and_names_moving_records(call, bench, tm
     assert call("predict", bench / "nominal", moving, "--json", tmp_path / "j", "--out", tmp_path / "d")[0] == 0
     code, text, _ = call("predict", bench / "nominal", moving, "--json", tmp_path / "j")
     assert code == 0
-    assert "moving: starts moving; initial state estimated from the first 150 samples" in text  # 1.5 periods of 5 Hz
+    assert (
+        "moving: starts moving; its initial state was estimated from the first 150 samples" in text
+    )  # 1.5 periods of 5 Hz
     row = json.loads((tmp_path / "j").read_text())["records"]["moving"]
     assert (row["samples"], row["missing"], row["initial_samples"]) == (1685, 20, 150)
     assert row["e_rms_percent"] < 2
@@ -121,7 +123,7 @@ def test_a_record_without_a_figure_says_why(call, bench, monkeypatch):
     monkeypatch.setattr(command, "run_predict", fake)
     code, text, _ = call("predict", bench / "nominal", bench / "records")
     assert code == 0
-    (line,) = [line for line in text.splitlines() if "nothing to score" in line]
+    (line,) = [line for line in text.splitlines() if "no motion to score" in line]
     assert line.startswith("sine2 ")
 
 

@@ -192,9 +192,9 @@ def test_for_one_of_two_sets_a_pitp_toml_is_proposed(call, tmp_path):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ("--nominal m.pitp --mjcf arm.xml --joint q --out gap", "--mjcf is for --against"),
-        ("--against sim --mjcf arm.xml --joint q", "needs --out DIR"),
-        ("--against sim --joint q", "--joint and --actuator are for --mjcf XML"),
+        ("--nominal m.pitp --mjcf arm.xml --joint q --out gap", "--mjcf only works with --against"),
+        ("--against sim --mjcf arm.xml --joint q", "--mjcf only works with --against and --out DIR"),
+        ("--against sim --joint q", "--joint and --actuator only work with --mjcf XML"),
         ("--against sim --mjcf gone.xml --joint q --out gap", "gone.xml: No such file"),
     ],
 )

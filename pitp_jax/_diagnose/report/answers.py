@@ -14,13 +14,13 @@ from .which import fraction_closed, which
 NEXT_CSV = "next_experiment.csv"
 
 
-_HELPS = 0.1  # of the gap: less is called nothing
+_HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
     """Return the verdict in one line."""
     if d.effects == ("parameter_change",):
-        return "The model's own coefficients have changed; no effect is missing from it"
+        return "The model's own coefficients have changed; no effect is missing"
     if d.effects:
         said = f"explained by {named(d.effects)}{''.join(f', or by {name}' for name in d.equivalent)}"
         return f"The gap is {'partly ' if d.verdict == 'partly' else ''}{said}"
@@ -36,7 +36,7 @@ def verdict_text(d: Diagnosis) -> str:
     if d.effects:
         what = "; ".join(plain_words(name, units_of(d.model)) for name in d.effects)
         more = (
-            " A part of the error can be explained from the input, and no name is sure for it."
+            " Another part of the error can be predicted from the input, but no single cause is certain."
             if d.verdict == "partly"
             else ""
         )
@@ -44,13 +44,14 @@ def verdict_text(d: Diagnosis) -> str:
     line = outside_line(d)
     if line:
         return (
-            f"In every recording, whatever its drive, at least {percent(line[1])} of the error is one oscillation at "
-            f"{figure(line[0])} Hz: something disturbs the rig from outside (vibration, pick-up, a supply)."
+            f"In every recording, at least {percent(line[1])} of the error is one oscillation at {figure(line[0])} "
+            "Hz, for every input. Something disturbs the rig from outside (vibration, electrical interference, a "
+            "supply)."
         )
     if (d.gap.closed_fraction or 0) < _HELPS:
         return (
-            f"No candidate reduces the error on {_records_used(d)}: either something disturbs the rig "
-            "from outside, or the cause has a form the catalogue does not hold."
+            f"No candidate reduces the error on {_records_used(d)}: either something disturbs the rig from outside, "
+            "or the cause is not in the catalogue."
         )
     return f"{d.reason} {_far(d)}"
 
@@ -61,8 +62,8 @@ def budget_bar(d: Diagnosis) -> str:
     if not b:
         return ""
     parts = [
-        ("sensor's zero and start", b["nuisance"], "#b9cfe0"),
-        ("the model's own numbers", b["parameters"], "#6a9fc9"),
+        ("sensor offset and initial state", b["nuisance"], "#b9cfe0"),
+        ("changed coefficients of the model", b["parameters"], "#6a9fc9"),
     ]
     parts += [(name, row, "#0072b2") for name, row in b["effects"].items()]
     parts += [
@@ -81,44 +82,44 @@ def budget_bar(d: Diagnosis) -> str:
     if not bar:
         return ""
     return f'<div style="white-space:nowrap;overflow:hidden">{"".join(bar)}</div>' + tag(
-        "p", "Of the gap's energy: " + "; ".join(rows) + ".", "soft"
+        "p", "Energy of the gap: " + "; ".join(rows) + ".", "soft"
     )
 
 
 def next_step(d: Diagnosis) -> str:
     """Return the recommended next step, in one sentence."""
     if d.verdict == "no_gap":
-        return "Next: predict and invert with this model; more recordings teach it nothing."
+        return "Next: predict and invert with this model; more recordings would not improve it."
     if d.next_experiment is not None:
-        return f"Next: play and record {NEXT_CSV}, which tells {named(d.next_experiment.separates)} apart."
+        return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
     if d.effects:
-        return "Next: predict and invert with model_augmented, or mend the rig and diagnose again."
+        return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."
     if outside_line(d):
-        return "Next: find what hums at that frequency; no model of the actuator will."
-    return f"Next: look at {worst(d).name}, where most of it is, then record a drive of another kind beside it."
+        return "Next: find the source of this oscillation; no model of the actuator can predict it."
+    return f"Next: check {worst(d).name}, which holds most of the gap, then record an input of another kind."
 
 
 def _error_without(d: Diagnosis) -> str:
     g = d.gap
     if g.noise_floor is None:
-        return f"it is off by {of_range(g.before)} of range"
-    return f"it is off by {of_range(g.before)} of range, and by {of_range(g.noise_floor)} on its own"
+        return f"the error is {of_range(g.before)} of range"
+    return f"the error is {of_range(g.before)} of range, and {of_range(g.noise_floor)} on the model's own recordings"
 
 
 def _far(d: Diagnosis) -> str:
     adding = "Adding it" if len(d.effects) == 1 else "Adding them" if d.effects else "The best candidate"
     adding = "Refitting them" if d.effects == ("parameter_change",) else adding
     before, after = of_range(d.gap.before), of_range(d.gap.after)
-    return f"{adding} takes the error on {_records_used(d)} from {before} to {after} of range."
+    return f"{adding} reduces the error on {_records_used(d)} from {before} to {after} of range."
 
 
 def _records_used(d: Diagnosis) -> str:
-    return "recordings the fit never saw" if d.heldout else "the recordings it was fitted on"
+    return "held-out recordings" if d.heldout else "the recordings it was fitted on"
 
 
 def _where(d: Diagnosis) -> str:
     if d.verdict == "no_gap":
-        return html.card("Where", "Nowhere", tag("p", "What the model leaves over is noise in every recording."))
+        return html.card("Where", "Nowhere", tag("p", "The remaining error is noise in every recording."))
     share = d.where["records"].get(worst(d).name, 0.0)
     loud = max(d.where["frequency"], key=lambda row: row["share"])
     big = f"{figure(loud['band_hz'][0])} to {figure(loud['band_hz'][1])} Hz"
@@ -142,14 +143,14 @@ def _how_far(d: Diagnosis) -> str:
         lines.insert(0, f"{fraction_closed(g.closed_fraction)} of the closable gap is closed{ci}.".capitalize())
     if d.verdict == "no_gap":
         big = f"{of_range(g.before)} of range"
-        lines.insert(0, "Nothing left to close.")
+        lines.insert(0, "There is no gap to close.")
     else:
         big = f"{of_range(g.before)} → {of_range(g.after)}"
         lines.append(_in_units(d))
     lines.append(
-        "Every recording was judged by a fit that did not see it."
+        "Every recording was predicted by a fit that did not use it."
         if d.heldout
-        else "Judged on stretches of one recording."
+        else "Judged on left-out parts of the recordings."
     )
     return html.card("How far", big, *(tag("p", line) for line in lines))
 
@@ -166,5 +167,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Return the cards where, which and how far, as HTML."""
+    """Return the cards "where", "which" and "how far" as HTML."""
     return _where(d), which(d), _how_far(d)

@@ -29,7 +29,7 @@ _ROWS, _LABEL = 12, 18  # effects in the ranking figure; letters of a record und
 _AXES = {
     "records": "record",
     "frequency": "frequency of the error (Hz)",
-    "time": "part of a record (%)",
+    "time": "part of a recording (%)",
     "displacement": "{output} ({unit})",
     "velocity": "{velocity} ({rate})",
     "voltage": "{input} ({command})",
@@ -100,7 +100,7 @@ def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
         drawn.text(1.03, k, ("none" if share < 0.005 else percent(share)) + tied, va="center", fontsize=_SMALL)
     if not rows:
         drawn.text(0.5, 0.5, "no gap to close", ha="center", va="center", fontsize=_SMALL + 1)
-    finish(np.array([drawn]), "share of the held-out gap closed", [""])
+    finish(np.array([drawn]), "fraction of the held-out gap closed", [""])
     drawn.set_yticks(range(len(rows)), [row[0] for row in rows])
     drawn.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
     drawn.set(xlim=(0, 1.02), ylim=(max(len(rows), 1) - 0.4, -0.6))
@@ -190,7 +190,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
         ax: where to draw; None makes a figure.
     """
     if diagnosis.next_experiment is None:
-        raise ValueError("this diagnosis asks for no further experiment")
+        raise ValueError("this diagnosis proposes no further experiment")
     drawn: Axes = own_axes(ax, 1, (5.0, 1.9))[0]
     voltage, label = volts(diagnosis.next_experiment.voltage, diagnosis.model.origin.voltage_unit)
     line(drawn, diagnosis.next_experiment.time, voltage, color=DRIVE, lw=0.9)
@@ -199,7 +199,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Return all figures this diagnosis has content for, by the name of their file.
+    """Return all figures for which this diagnosis has data, by file name.
 
     A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """

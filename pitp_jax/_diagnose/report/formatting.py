@@ -14,7 +14,7 @@ from ..._report.numbers import figure, percent, shown_unit, with_error, with_int
 from ..._table.quantity import Units, per_second
 from ..._table.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 
-PLAIN = {"parameter_change": "the model's own numbers have moved"} | {
+PLAIN = {"parameter_change": "the model's own coefficients have changed"} | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed, so that a name's first form defines it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here
@@ -131,7 +131,7 @@ def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str
     for axis, text, factor, key in (
         ("displacement", f"of the missing force acts at {units.output_word}s of {{}} to {{}} {shown}", scale, "range"),
         ("voltage", f"of the missing force acts at {{}} to {{}} {input_shown}", per_input, "range"),
-        ("time", "of the error comes between {} and {} % of a recording's length", 100.0, "part"),
+        ("time", "of the error occurs between {} and {} % of a recording's length", 100.0, "part"),
     ):
         shares = [row["share"] for row in where[axis]]
         run = _narrowest(shares)
@@ -152,7 +152,7 @@ def drive_unit(unit: str) -> tuple[float, str]:
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
-    """Return the shortest run of neighbours that holds most, the fullest of several."""
+    """Return the shortest run of neighbouring bins that holds most of the gap; of several, the one with the most."""
     runs = [
         (last - first, -sum(shares[first:last]), first, last)
         for first in range(len(shares))

@@ -76,7 +76,9 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
         added = "all effects" if len(diagnosis.effects) > 1 else "".join(diagnosis.effects)
         runs.append((f"with {added}", trace.augmented, PREDICTED))
     elif diagnosis.handed_back:
-        runs.append(("best candidate" if diagnosis.term is None else "with the term found", trace.augmented, PREDICTED))
+        runs.append(
+            ("best candidate" if diagnosis.term is None else "with the found equation", trace.augmented, PREDICTED)
+        )
     line(axes[0], time, measured, color=MEASURED, lw=2.6, label="measured")
     for k, (label, run, color) in enumerate(runs):
         line(axes[0], time, scale * run[part], color=color, lw=1.1, ls="-" if k else "--", label=label)

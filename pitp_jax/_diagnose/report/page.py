@@ -82,16 +82,17 @@ def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
 
 def _captions(d: Diagnosis) -> dict[str, str]:
     name, units = worst(d).name, units_of(d.model)
-    side = "held out: no fit saw it" if d.heldout else "no recording was held out"
+    side = "held out" if d.heldout else "no recording was held out"
     return {
-        "gap": f"{name} ({side}), the stretch where the model is furthest off; below, model less measurement.",
-        "where": "Share of the missing force by drive frequency and amplitude; outlined where it stands out.",
-        "shares": "Share of the model's error by recording (held-out ones darker), by the error's own frequency, and "
-        "by part of a recording.",
-        "force": "Share of the missing force (what the equation lacks along the measured motion) by "
+        "gap": f"{name} ({side}), the part with the largest error. Below: model minus measurement.",
+        "where": "Fraction of the missing force by frequency and amplitude of the input. Outlined: clearly above "
+        "average.",
+        "shares": "Fraction of the model's error by recording (dark: held out), by the frequency of the error, and by "
+        "part of a recording.",
+        "force": "Fraction of the missing force (the equation's residual along the measured motion) by "
         f"{units.output_word}, {units.velocity_word} and {units.input_word}.",
-        "ranking": f"Share of the {'held-out ' if d.heldout else ''}gap each effect closes by itself, with its 95 % "
-        "interval: 100 % leaves only the model's own error. Blue: named; orange: tied with it.",
+        "ranking": f"Fraction of the {'held-out ' if d.heldout else ''}gap that each effect closes by itself, with "
+        "its 95 % interval. At 100 % only the model's own error remains. Blue: reported; orange: tied with it.",
     }
 
 
@@ -102,9 +103,9 @@ def _next(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
     a, b = e.separates
     seconds = figure(float(e.time[-1] - e.time[0]), 2)
     text = (
-        f"To tell {a} from {b}, play this: {e.excitation}, for {seconds} s, within the "
-        f"{units_of(d.model).input_word}s and slews already played ({NEXT_CSV}). The two predict outputs that differ "
-        f"by {figure(e.difference, 2)} times the noise."
+        f"To separate {a} from {b}, play this: {e.excitation}, for {seconds} s, within the "
+        f"{units_of(d.model).input_word}s and slews already played ({NEXT_CSV}). The predicted outputs differ by "
+        f"{figure(e.difference, 2)} times the noise."
     )
     shown = html.picture("next", drawn["next_experiment"], f"To play: {e.excitation}.")
     return [tag("h2", "The next experiment"), tag("p", text), f'<div class="figures">{shown}</div>']
@@ -120,7 +121,7 @@ def _ranking(d: Diagnosis) -> list[str]:
         css = "named" if r.effect in d.effects else ""
         figures_ = (figure(r.train), figure(r.heldout), _closed(r))
         rows.append((css, (f"{r.effect}{tied}", r.form, "; ".join(parameter_lines(d, r)), *figures_)))
-    note = "Each effect by itself, in its best form; errors in % of a recording's range."
+    note = "Each effect alone, in its best form. Errors in % of a recording's range."
     return [tag("p", note, "soft"), html.table(header, rows, {1: "left", 2: "long"})]
 
 
@@ -170,16 +171,16 @@ def _pieces(d: Diagnosis) -> list[str]:
 
 def _reading(d: Diagnosis) -> list[str]:
     method = (
-        "Sets of up to four effects of the catalogue were added to the model and fitted to free runs; judged is "
-        "the error it leaves on recordings that its fit did not see, each recording counting by the logarithm of its "
-        "mean square. P is the share of draws of recordings and of stretches within them in which it is better."
+        "Sets of up to four effects of the catalogue were added to the model and fitted to free runs. A set is judged "
+        "by its error on held-out recordings; each recording counts by the logarithm of its mean square error. P is "
+        "the fraction of bootstrap draws (of recordings, and of parts within them) in which it is better."
     )
     verdicts = (
-        f"“No gap” means that the error is within {rules.OWN:g} times what the model leaves on its own recordings. "
-        f"A name is said where its set beats the best set searched without it with P of at least {rules.SURE:g}, "
-        "where it also beats a flexible model that knows no names, and where it closes at least "
-        f"{percent(rules.LISTED)} of what the set closes; with fewer than {rules.EXCITATIONS} kinds of excitation only "
-        f"where the best rival leaves {rules.TWICE:g} times the error. Else the verdict is “unknown”, "
-        "and no name should be read off the ranking. P means best of the catalogue, not the chance of being right."
+        f"“No gap” means that the error is at most {rules.OWN:g} times the model's error on its own recordings. An "
+        f"effect is reported if its set is better than the best set without it with P of at least {rules.SURE:g}, if "
+        f"the set is better than a black-box model, and if the effect makes up at least {percent(rules.LISTED)} of "
+        f"the reduction. With fewer than {rules.EXCITATIONS} kinds of excitation, the best rival must leave at least "
+        f"{rules.TWICE:g} times the error. Otherwise the verdict is “unknown”, and the ranking names no cause. P "
+        "compares effects of the catalogue; it is not the probability that the effect is the true cause."
     )
     return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]

@@ -20,17 +20,21 @@ def which(d: Diagnosis) -> str:
         lines = [_effect(d, name) for name in d.effects]
         if refitted(d):
             lines.append(
-                tag("p", "The model's own coefficients, fitted along, over those given:") + html.bullets(_shift(d))
+                tag("p", "The model's own coefficients, fitted as well (factor on the given ones):")
+                + html.bullets(_shift(d))
             )
         return html.card("Which", named(d.effects), *lines, tag("p", _rivals(d)))
     if d.verdict == "no_gap":
-        return html.card(
-            "Which", "None", tag("p", "No effect takes off more than the model's own error allows to see.")
-        )
+        return html.card("Which", "None", tag("p", "No effect reduces the error below the model's own error."))
     nearest = [f"{r.effect}: closes {fraction_closed(r.closed_fraction)}" for r in d.ranking]
     why = tag("p", d.reason) if d.reason else ""
     return html.card(
-        "Which", "No name is sure", _term(d), why, tag("p", "The nearest:"), html.bullets(nearest[:_NEAREST])
+        "Which",
+        "No single cause is certain",
+        _term(d),
+        why,
+        tag("p", "The best candidates:"),
+        html.bullets(nearest[:_NEAREST]),
     )
 
 
@@ -39,20 +43,20 @@ def _term(d: Diagnosis) -> str:
     if d.term is None:
         return ""
     share = fraction_closed(d.term.closed_fraction)
-    line = f"The missing force as an equation found in the data (a description, no cause) closes {share} of the gap:"
+    line = f"The missing force as an equation found in the data (a description, not a cause) closes {share} of the gap:"
     numbers = [_line(d, name, number) for name, number in d.term.parameters.items()]
     return tag("p", line) + tag("p", d.term.equation) + html.bullets(numbers)
 
 
 def _rivals(d: Diagnosis) -> str:
-    """Return the effects tied with the reported one, or the distance of the next best effect."""
+    """Return a sentence on the effects tied with the reported one, or on the next best effect."""
     if d.equivalent:
-        return f"These data cannot tell {d.effects[0]} from {named(d.equivalent)}."
+        return f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}."
     others = [r for r in d.ranking if r.effect not in d.effects]
     if not others:
-        return "No other effect comes near."
+        return "No other effect is close."
     error, closed = of_range(others[0].heldout), fraction_closed(others[0].closed_fraction)
-    return f"Next best: {others[0].effect}, which leaves {error} (closes {closed})."
+    return f"Next best: {others[0].effect} with an error of {error} (closes {closed})."
 
 
 def fraction_closed(value: float | None) -> str:
@@ -67,7 +71,7 @@ def _effect(d: Diagnosis, name: str) -> str:
         return ""
     title = f"{name}, form “{part.form}”" if len(d.effects) > 1 else f"Form “{part.form}”"
     p = part.probability
-    sure = tag("p", f"P {p:.2f} that no other set without it does as well.") if p is not None else ""
+    sure = tag("p", f"P {p:.2f} that it is better than the best set without it.") if p is not None else ""
     return tag("p", title) + html.bullets(numbers_of(d, part, " = ")) + sure
 
 
@@ -82,7 +86,7 @@ def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
 
 
 def _shift(d: Diagnosis) -> list[str]:
-    """Return every coefficient over the given one, with its standard error if the ranking has it."""
+    """Return refitted over given coefficients, with standard errors if the ranking has them."""
     row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):

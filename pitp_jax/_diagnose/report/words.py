@@ -25,7 +25,7 @@ def lines(d) -> list[str]:
             ("unexplainable", "cannot be predicted"),
         )
     ]
-    return [*told, "of the error's energy: " + ", ".join(rest), d.where["summary"], next_step(d)]
+    return [*told, "energy of the error: " + ", ".join(rest), d.where["summary"], next_step(d)]
 
 
 def result_line(d) -> str:
@@ -33,7 +33,7 @@ def result_line(d) -> str:
     g = d.gap
     if d.verdict == "no_gap":
         return f"The nominal model is handed back: its error, {of_range(g.before)} of range, is its own."
-    where = "held-out recordings" if d.heldout else "parts of the recording that were left out"
+    where = "held-out recordings" if d.heldout else "left-out parts of the recordings"
     where = "all recordings" if d.pieces is not None else where
     if not d.handed_back:
         return (
