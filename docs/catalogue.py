@@ -4,7 +4,7 @@
     refit       share of |d|^2 that the nominal's coefficients take up when they are fitted along
     resembles   b with the largest |cos(d_a, d_b)| over all drives;  parted by the drive with most of |d_a - beta d_b|^2
 
-The nominal is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as rows of one compiled program.
+The nominal model is an actuator of 5 Hz, damping ratio 0.1, F = u^2; all forms run as rows of one compiled program.
 `docs/hooks.py` puts the pages into the site. To look at them without it: `python docs/catalogue.py FOLDER`.
 """
 
@@ -37,11 +37,11 @@ TIME = np.arange(SAMPLES) * DT
 EFFECTS = Path(__file__).with_name("effects.md")
 PORTS = {
     "IN": "the drive, before the square",
-    "SQ": "the coupling, on the force the voltage makes",
+    "SQ": "the coupling, on the force of the voltage",
     "K": "the restoring force",
     "C": "the dissipation",
     "M": "the inertia",
-    "T": "what changes slowly over the session",
+    "T": "slow changes during the session",
     "OUT": "the sensor",
 }
 
@@ -151,29 +151,30 @@ def page(name: str, form: EffectSpec, values, share: float, near, left) -> str:
         f"# {name}",
         forms[0].title,
         f"`{name}` · family {form.family} · enters at {ports}",
-        f"Tells itself by: **{tells}**.",
+        f"Recognised by: **{tells}**.",
         "## Signature",
         "\n".join(f"![{name}: {what}]({name}-{k}.svg){{ .half }}" for k, what in enumerate(
             ("displacement under steps", "displacement over the squared voltage", "amplitude over frequency",
-             "what the effect changes, over time"))),
+             "change by the effect, over time"))),
         f"Grey without, orange with the effect: form *{form.form}* at {used} (displacement in units of 1 mm, force in "
-        f"units of (1 kV)²). The nominal is an actuator of {HZ:g} Hz, damping ratio {ZETA:g}, 1 mm at 1 kV; no noise. "
-        "Drawn by `docs/catalogue.py`.",
+        f"units of (1 kV)²). The nominal model is an actuator of {HZ:g} Hz, damping ratio {ZETA:g}, 1 mm at 1 kV; no "
+        "noise. Drawn by `docs/catalogue.py`.",
         "## Equation",
         "| form | | equation | parameters |\n|---|---|---|---|\n" + "\n".join(_row(f) for f in forms),
-        "`x` in a unit stands for the unit of the displacement; k is the nominal's stiffness.",
+        "`x` in a unit stands for the unit of the displacement; k is the nominal model's stiffness.",
         "## Confused with",
-        "Effects that move this actuator's output most alike (1: in proportion on all five drives), strong as drawn:",
+        "Effects with the most similar change of this actuator's output (1: proportional for all five inputs), at the "
+        "strength shown:",
         "| effect | likeness |\n|---|---|\n" + "\n".join(f"| [`{b}`]({b}.md) | {c:.2f} |" for b, c in near),
-        f"A refit of the nominal's three coefficients takes up {100 * share:.0f} % of what the effect does here: "
-        + ("what is left is little, so keep a nominal from before the change." if share > 0.8 else
-           "part of it stays to be seen after `--refit-nominal`." if share > 0.3 else
-           "most of it stays to be seen after `--refit-nominal`."),
+        f"A refit of the nominal model's three coefficients hides {100 * share:.0f} % of this effect's energy here: "
+        + ("little remains visible, so keep a nominal model from before the change." if share > 0.8 else
+           "a part remains visible after `--refit-nominal`." if share > 0.3 else
+           "most of it remains visible after `--refit-nominal`."),
         "## Which recording separates it",
-        f"What is left of the difference from `{near[0][0]}`, both as strong as fits all five drives best:",
-        "| drive | rms, % of range |\n|---|---|\n"
+        f"Remaining difference from `{near[0][0]}`, if both are scaled to fit all five inputs best:",
+        "| input | rms, % of range |\n|---|---|\n"
         + "\n".join(f"| {d} | {v:.2g} |" for d, v in sorted(left.items(), key=lambda p: -p[1])),
-        "For your own actuator `pitp diagnose` computes this, and writes the drive as a CSV to play where two names "
+        "For your own actuator `pitp diagnose` computes this, and writes the input as a CSV to play if two effects "
         "are tied ([how a diagnosis is made](../effects.md#how-a-diagnosis-is-made)).",
     ]  # fmt: skip
     return "\n\n".join(text) + "\n"
@@ -198,8 +199,8 @@ def index(names: Sequence[str]) -> str:
     rows = rows_of_effects()
     head = [
         "# The catalogue",
-        "What a diagnosis can name, a page each, by the place where it acts. Every page is made from the effect's rows "
-        "when this site is built; all forms in one table stand in [effects](../effects.md).",
+        "The effects that a diagnosis can report, one page each, by the place where they act. The pages are made from "
+        "the catalogue when this site is built; [effects](../effects.md) has all forms in one table.",
     ]
     for place, here in groups().items():
         lines = [f"| [`{n}`]({n}.md) | {title} | {rows[n][-1]} |" for n, title in here.items() if n in names]
@@ -231,7 +232,7 @@ def over_frequency(kind: str, nominal: np.ndarray, y: np.ndarray) -> str:
         return np.array([np.ptp(x[a:b]) / 2 for a, b in zip(ends[:-1], ends[1:], strict=True)])
 
     at = hz[(ends[:-1] + ends[1:]) // 2]
-    return svg((at, half_range(nominal[k])), (at, half_range(y[k])), "frequency of the drive (Hz)", "amplitude (mm)",
+    return svg((at, half_range(nominal[k])), (at, half_range(y[k])), "frequency of the input (Hz)", "amplitude (mm)",
                "Sweep: amplitude")  # fmt: skip
 
 

@@ -6,6 +6,8 @@ from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_f
 from scipy.signal import lsim
 
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward
+from pitp_jax._invert.advice import on_reach
+from pitp_jax._invert.limits import limits_of
 from pitp_jax._model import LinearInput
 
 
@@ -57,6 +59,16 @@ def test_a_jump_of_acceleration_at_the_start_is_led_in(actuator):
     assert found.voltage[first] == pytest.approx(np.sqrt(a[2] * 1e-3 * w**2), rel=0.02)
     assert any("the target's first sample needs" in line for line in found.warnings)
     assert np.abs(respond(actuator, found.voltage)[:, 0]).min() > -1e-4
+
+
+def test_a_cut_names_the_origin_of_its_slew_limit(actuator):
+    """The model's recordings where the user gave no limit; only the value otherwise."""
+    default, given = (limits_of(actuator, None, slew, None)[0] for slew in (None, 4e4))
+    (line,), (shorter,) = (on_reach(0.0, 0.5, limits) for limits in (default, given))
+    assert "5e+04 V/s (the largest of the model's recordings; --max-slew sets another); ask for" in line
+    assert "4e+04 V/s; ask for" in shorter
+    assert default.text == "0 to 2000 V, at most 5e+04 V/s (voltage and rate of the model's recordings)"
+    assert given.text == "0 to 2000 V, at most 4e+04 V/s (voltage of the model's recordings)"
 
 
 def test_the_linear_maps_limit_holds_both_ways(linear, bounded):

@@ -104,8 +104,7 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
     if saturated > _WORTH_A_LINE:
         lines += (
             f"{100 * saturated:.0f} % of the target's {limits.units.input_word} is clipped by {limits.range_text} or "
-            f"{limits.units.input.rate_text(limits.slew, 3)}; ask for a smaller motion, or raise the limit if the rig "
-            "allows it",
+            f"{limits.slew_text}; ask for a smaller motion, or raise the limit if the rig allows it",
         )
     return lines
 

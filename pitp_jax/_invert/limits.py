@@ -19,7 +19,7 @@ _VOLTS = Units()
 class Limits:
     """Input range, slew, displacement from the position at zero input, and the input at both ends.
 
-    All in base units (V, V/s, m); `units` is for messages.
+    All in base units (V, V/s, m); `units` is for messages. `assumed`: the limits that come from the model's recordings.
     """
 
     low: float
@@ -28,6 +28,7 @@ class Limits:
     farthest: float = np.inf
     ends: float = 0.0
     units: Units = Units()
+    assumed: tuple[str, ...] = ()
 
     @property
     def unnoticed(self) -> float:
@@ -41,12 +42,20 @@ class Limits:
         return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
 
     @property
+    def slew_text(self) -> str:
+        """Return the slew limit in words, with its origin where the user did not give it."""
+        origin = f" (the largest of the model's recordings; {self.units.max_rate} sets another)"
+        return self.units.input.rate_text(self.slew, 3) + (origin if "slew" in self.assumed else "")
+
+    @property
     def text(self) -> str:
-        """Return all limits in force, in words."""
+        """Return all limits in force, in words, with the origin of those that the user did not give."""
         parts = [self.units.input.range_text(self.low, self.high), f"at most {self.units.input.rate_text(self.slew)}"]
         if np.isfinite(self.farthest):
             parts.append(f"{self.units.output_word} within {self.units.limit.text(self.farthest)}")
-        return ", ".join(parts)
+        named = [{"range": self.units.input_word, "slew": "rate"}[part] for part in self.assumed]
+        origin = f" ({' and '.join(named)} of the model's recordings)" if named else ""
+        return ", ".join(parts) + origin
 
 
 def limits_of(
@@ -93,7 +102,9 @@ def limits_of(
             f"--start-input {units.input.text(start_input)} lies outside {units.input.range_text(low, high)}; raise "
             f"{units.max_input}"
         )
-    return Limits(low, high, slew, farthest, start_input, units), warnings
+    chosen = (("range", max_voltage, high), ("slew", max_slew, slew))
+    assumed = tuple(part for part, value, limit in chosen if value is None and np.isfinite(limit))
+    return Limits(low, high, slew, farthest, start_input, units, assumed), warnings
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:

@@ -124,7 +124,7 @@ def test_invert_writes_the_input_in_the_unit_of_the_records(call, motor, tmp_pat
     np.testing.assert_allclose(values[inside, 1], np.sin(2 * np.pi * TIME) ** 3, atol=5e-3)
     np.testing.assert_allclose(values[inside, 2], speed(np.sin(2 * np.pi * TIME) ** 3), rtol=1e-6, atol=1e-6)
     assert text.startswith(f"largest input {np.abs(values[:, 1]).max():.4g} A: ")
-    assert "limits: -2 to 2 A, at most 80 A/s" in text
+    assert "limits: -2 to 2 A, at most 80 A/s (input and rate of the model's recordings)" in text
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,10 @@ def test_a_voltage_stays_in_volts_and_a_length_in_metres(call, bench, tmp_path):
     code, text, _ = call(
         "invert", bench / "nominal", target, "--out", out, "--max-voltage", "1.2kV", "--max-output", "3"
     )
-    assert code == 0 and "limits: 0 to 1200 V, at most 5e+04 V/s, displacement within 3 mm" in text
+    assert (
+        code == 0
+        and "limits: 0 to 1200 V, at most 5e+04 V/s, displacement within 3 mm (rate of the model's recordings)" in text
+    )
     assert call("info", bench / "nominal", "--json", tmp_path / "j")[0] == 0
     facts = json.loads((tmp_path / "j").read_text())
     assert facts["coefficients_unit"] == ["V^2/m", "V^2 s/m", "V^2 s^2/m"] and facts["output_unit"] == "m"
