@@ -135,7 +135,7 @@ def _rows(simulator, *effects):
 
 def test_numbers_that_help_are_in_the_headline_though_no_cause_is_certain():
     gap = SimpleNamespace(before=5.28, after=0.1)
-    for handed_back, expected in ((("drag",), "from 5.3 % to 0.10 % of range; no single cause"), ((), "no effect of")):
+    for handed_back, expected in ((("drag",), "from 5.3 % to 0.10 % of range; no single cause"), ((), "no effect in")):
         found = object.__new__(SimToReal)
         robot = SimpleNamespace(verdict="unknown", effects=(), handed_back=handed_back, gap=gap)
         object.__setattr__(found, "robot", robot)
