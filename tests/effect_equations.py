@@ -233,6 +233,13 @@ EQUATIONS = {
         ((4.0, 0.5, -0.1), (4.0, -0.1, 0.3)), {2: 2e-3},
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * (max(x - p.place, 0) - max(-x - p.opposite, 0)),
     ),
+    "end_stop: each side, damped": Equation(
+        ((4.0, 0.5, -0.1, 0.01), (4.0, -0.1, 0.3, 0.01)), {2: 1e-2},
+        force=lambda x, v, s, p, a, t: a[0] * p.kappa * (
+            (max(x - p.place + p.tau * v, 0) if x > p.place else 0)
+            - (max(-x - p.opposite - p.tau * v, 0) if -x > p.opposite else 0)
+        ),
+    ),
     "creep: one branch": Equation(((0.5, 0.6),), {2: 3e-4}, **_branches((1.0,))),
     "relaxation: one branch": Equation(((0.5, 0.04),), {2: 5e-4}, **_branches((1.0,))),
     "hysteresis: plays": Equation(

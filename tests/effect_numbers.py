@@ -15,6 +15,7 @@ NUMBERS = {
     "end_stop: above": (3, 1.699),
     "end_stop: below": (3, 1.128),
     "end_stop: each side": (3, 1.128, 1.061),
+    "end_stop: each side, damped": (3, 1.128, 1.061, 0.02),
     "creep: one branch": (0.2, 1.194),
     "relaxation: one branch": (0.2, 0.03183),
     "hysteresis: plays": (0.4, 0.1599),

@@ -177,6 +177,8 @@ def test_stops_at_two_places_are_two_numbers_and_mass_is_inertia(turning):
     assert rows["end_stop place, below"].robot == pytest.approx(0.4, rel=1e-3)
     assert rows["inertia"].difference == pytest.approx(0.5 * rows["inertia"].simulator, rel=1e-3)
     assert rows["inertia"].certain and not rows["damping"].certain
+    both = _rows(turning, ("end_stop", "each side, damped", 30.0, 0.3, 0.4, 0.01))
+    assert [both[f"end_stop place, {side}"].robot for side in ("above", "below")] == pytest.approx([0.3, 0.4])
 
 
 def test_a_third_pole_stands_as_a_lag_behind_two_in_the_robots_model(turning):

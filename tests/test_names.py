@@ -11,7 +11,19 @@ from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit, at
-from pitp_jax._diagnose.library import INDEX, NAMES, OFF, PLACES, ROWS, Scale, _no_faster, bounds, forms, named
+from pitp_jax._diagnose.library import (
+    INDEX,
+    NAMES,
+    OFF,
+    PLACES,
+    ROWS,
+    Scale,
+    _no_faster,
+    bounds,
+    forms,
+    named,
+    slots_of_row,
+)
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax._diagnose.verdict import decide
 from pitp_jax._effects import CATALOGUE, lookup
@@ -144,6 +156,29 @@ def test_below_the_nominals_own_error_no_form_wins_by_more_numbers(misfit, numbe
     plain, rich = hypothesis(("drag",), 0.012), hypothesis(("drag",), 0.010, numbers=3)
     fits = [replace(h.fit, residuals=h.residuals, cost=h.evidence.score) for h in (plain, rich)]
     assert len(search._plainest(fits).free) == numbers
+
+
+@pytest.mark.parametrize(
+    ("spread", "plain_error", "free"),
+    [(1.0, 0.115, 1), (0.01, 0.115, 3), (1.0, 0.14, 3)],
+    ids=["loose", "sure", "worse"],
+)
+def test_a_form_whose_numbers_the_folds_do_not_determine_gives_way(spread, plain_error, free):
+    """Stribeck friction of half the level and twice the rise in every other fold, beside Coulomb friction."""
+    row, search = lookup("coulomb_friction", "Stribeck"), searched()
+    numbers = slots_of_row(row)
+    rich = hypothesis(("coulomb_friction",), 0.10)
+    folds = np.tile(slots(("coulomb_friction", "Stribeck", 0.05, 0.9, 1.7)), (6, 1))
+    folds[::2, INDEX[numbers[0]]] *= np.exp(spread)
+    rich = replace(rich, fit=rich.fit.anew(free=numbers, slots=folds[1]), without=folds)
+    search.every[frozenset(rich.names)] = rich
+    search.library, search.budget = [f for f in forms(SCALE) if f.name == "coulomb_friction"], Budget()
+    stub: Any = search
+    stub.fitter = SimpleNamespace(fit=lambda fits, steps: [replace(f, cost=0.0) for f in fits])
+    plain = hypothesis(("coulomb_friction",), plain_error).evidence
+    stub._scored = lambda fits: [replace(rich, fit=f, evidence=plain) for f in fits]
+    search.plainer_forms()
+    assert len(search.best().fit.free) == free
 
 
 def test_moved_coefficients_are_taken_before_a_name_that_is_no_better():

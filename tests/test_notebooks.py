@@ -14,10 +14,12 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 def test_a_notebook_runs_and_was_stored_with_its_results(path):
     nbformat, client = pytest.importorskip("nbformat"), pytest.importorskip("nbclient")
     pytest.importorskip("ipykernel")
+    if path.stem == "robot":
+        pytest.importorskip("mujoco")
     book = nbformat.read(path, as_version=4)
     cells = [cell for cell in book.cells if cell.cell_type == "code"]
     assert len(cells) > 3 and all(cell.execution_count for cell in cells)
-    client.NotebookClient(book, timeout=300, kernel_name="python3").execute()
+    client.NotebookClient(book, timeout=None, kernel_name="python3").execute()
 
 
 def test_there_is_one_for_a_laboratory_one_for_research_and_one_for_a_robot():

@@ -87,6 +87,7 @@ NUMBERS = {
     "softening: gravity": (0.9,), "softening: root": (0.4,),
     "softening: weight on an arm": (0.3, 0.9), "mullins: exponential": (0.2, 0.4),
     "end_stop: above": (4.0, 0.5), "end_stop: below": (4.0, 0.05), "end_stop: each side": (4.0, 0.5, 0.1),
+    "end_stop: each side, damped": (4.0, 0.5, 0.1, 0.02),
     "creep: one branch": (0.3, 0.5), "relaxation: one branch": (0.3, 0.05), "hysteresis: plays": (0.5, 0.1),
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
     "stiffness_drift: settling": (0.1, 2.0), "second_mode: hung on": (0.2, 55.0, 0.05), "drag: quadratic": (2.0,),

@@ -294,8 +294,10 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
                     value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # by its force, not by its unit: a backlash in rad is not a command in rad
                 value, unit, error = of.factor * value, of.force, None if error is None else of.factor * error
-            side = f", {effect.form}" if effect.form in ("above", "below") else ""
-            yield f"{effect.name} {p.name}{side}", _Number(value, unit, causes, error)
+            key = f"{p.name}, {effect.form}" if effect.form in ("above", "below") else p.name
+            if effect.form.startswith("each side"):
+                key = {"place": "place, above", "opposite": "place, below"}.get(p.name, p.name)
+            yield f"{effect.name} {key}", _Number(value, unit, causes, error)
 
 
 def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:

@@ -157,6 +157,8 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "end_stop: above", *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
     yield "end_stop: below", *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
     yield "end_stop: each side", *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
+    sides = [(middle + f * span, f * span - middle) for f in (0.4, 0.47)]
+    yield "end_stop: each side, damped", *((k, *ends, tau) for k in (3.0, 20.0) for ends in sides)
     if s.acceleration > 0:
         yield "force_limit: inside the loop", *((f / (s.a2 * s.acceleration),) for f in (0.7, 1.0, 1.4))
         yield "slack: free fall", *((f / s.acceleration,) for f in (1.3, 3.0))

@@ -27,7 +27,9 @@ from .library import (
     FILTER_ZETA,
     INDEX,
     LAG,
+    LOGARITHM,
     LONE,
+    OFF,
     ROWS,
     SHIFT,
     Form,
@@ -454,6 +456,25 @@ class Search:
             left = [k for k in left if k in kept.fit.free]
         self.every[frozenset(best.names)] = kept
 
+    def plainer_forms(self) -> None:
+        """Replace forms of the best set whose parameters the folds do not determine by plainer forms of the effect.
+
+        A parameter is not determined if its interval (jackknife over folds) exceeds a factor of two: the form then fits
+        another small error. The plainer form is used unless the set leaves less than FURTHER of its error.
+        """
+        best = self.best()
+        for name in best.names:
+            own = {k for r in ROWS if group(r.name) == name for k in slots_of_row(r)}
+            mine = [k for k in best.fit.free if k in own]
+            plainer = [f for f in self.library if f.name == name and f.spec and len(f.free) < len(mine)]
+            if not plainer or _is_determined(best, mine) or not self.budget.allows(f"plainer forms of {name}"):
+                continue
+            fits = self.fitter.fit([_in_form(best.fit, own, f) for f in plainer], _STEPS)
+            tried = self._scored([f for f in fits if np.isfinite(f.cost)])
+            good = [h for h in tried if probability(best.evidence, h.evidence, rules.FURTHER) < rules.SURE]
+            best = min(good, key=lambda h: h.rms, default=best)
+            self.every[frozenset(best.names)] = best
+
     def _put_back(self, fit: Fit, name: str) -> Fit:
         slots = fit.slots.copy()
         slots[INDEX[name]] = self.case.nominal[INDEX[name]]
@@ -488,6 +509,7 @@ class Search:
                 fronts += [h for h in level[BEAM:] if h.names == (PARAMETERS,)]
         self._backward()
         self.fewer_moved()
+        self.plainer_forms()
 
     def level(self, depth: int, without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Return the sets of this many effects, best first."""
@@ -581,6 +603,24 @@ class Search:
 
 def _written(h: Hypothesis) -> str:
     return "+".join(h.labels) or "the linear model"
+
+
+def _is_determined(h: Hypothesis, names: Sequence[str]) -> bool:
+    """Return whether all folds agree on these positive parameters: intervals within a factor of two."""
+    places = [INDEX[k] for k in names if LOGARITHM[INDEX[k]]]
+    if not places or len(h.without) < 2:
+        return True
+    values = np.log(np.maximum(h.without[:, places], 1e-300))
+    errors = np.sqrt((len(values) - 1) * np.var(values, 0))
+    return bool(1.96 * errors.max() < np.log(2.0))
+
+
+def _in_form(fit: Fit, own: Set[str], form: Form) -> Fit:
+    """Return a fit with another form of one effect, whose parameters are `own`."""
+    slots = fit.slots.copy()
+    for k in own:
+        slots[INDEX[k]] = form.start.get(k, OFF[INDEX[k]])
+    return fit.anew(free=(*(k for k in fit.free if k not in own), *form.free), slots=slots, residuals=[])
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:

@@ -4,7 +4,7 @@ stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
             k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x),   k (c2 x^2 + c3 x^3 + c5 x^5)
 mullins     -k d (1 - exp(-m/L)) x,   m = max |x| so far
-end_stop    k kappa max(x - x_s, 0),   its mirror image, or both
+end_stop    k kappa max(x - x_s, 0),   its mirror image, or both;   d + tau d' in the place of d: it does not throw back
 
 A Gent-like spring fitted by a cubic alone fitted worse than an end stop, so an effect has several forms.
 """
@@ -81,6 +81,12 @@ def _polynomial(name: str, title: str) -> EffectSpec:
     )  # fmt: skip
 
 
+def _pushed(p, now, depth, sign):
+    """Compute depth and damping of a contact, which pushes and never pulls."""
+    return jnp.where(depth > 0, jnp.maximum(depth + sign * p.tau * now.rates[0] * now.v, 0.0), 0.0)
+
+
+_TAU = Parameter("tau", "s")
 _STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
 # the tangent at the ends of the motion decides which of the two names a polynomial has
 _POLYNOMIAL = tuple(
@@ -156,5 +162,14 @@ SPRINGS = (
         "On each side, at its own displacement, the motion runs into a stiff stop.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
+    ),
+    EffectSpec(
+        "end_stop", "each side, damped", (*_STOP, Parameter("opposite", "x", length=1, positive=False), _TAU),
+        "On each side the motion runs into something stiff that does not throw it back.",
+        "f = k kappa max(d + tau d', 0) where d = x - place > 0, and from the other side where d = -x - opposite > 0",
+        "stiffness", "K",
+        law=lambda p, now: (
+            now.k * p.kappa * (_pushed(p, now, now.x - p.place, 1) - _pushed(p, now, -now.x - p.opposite, -1))
+        ),
     ),
 )  # fmt: skip
