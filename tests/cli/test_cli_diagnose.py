@@ -16,7 +16,19 @@ from pitp_jax._model_file import model_file
 from pitp_jax.cli import main
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
-KEYS = {"verdict", "effects", "equivalent", "gap", "ranking", "where", "next_experiment", "records", "pieces", "term"}
+KEYS = {
+    "verdict",
+    "effects",
+    "equivalent",
+    "gap",
+    "ranking",
+    "where",
+    "next_experiment",
+    "records",
+    "pieces",
+    "term",
+    "clock_shift_s",
+}
 KEYS |= {"budget", "handed_back", "parts", "refit", "written_by"}
 GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95", "explainable"}
 RANKED = {"effect", "family", "form", "parameters", "train", "heldout", "closed_fraction", "ci95"}
