@@ -104,7 +104,7 @@ def test_all_that_is_missing_in_all_files_is_told_at_once(tmp_path):
 def test_units_and_scales_can_be_given(tmp_path):
     """An amplifier's monitor of 1 V per kV and a laser of 2 mm per V, as a DAQ records them."""
     save_csv(tmp_path / "a.csv", {"t": TIME, "ai0 (V)": VOLTAGE / 1000, "ai1 (V)": OUTPUT / 2})
-    assert "two matches" in refused(tmp_path / "a.csv")
+    assert "two columns may be" in refused(tmp_path / "a.csv")
     picked: dict[str, Any] = {"input_column": "ai0 (V)", "output_column": "ai1 (V)"}
     (record,) = read(tmp_path / "a.csv", **picked, input_scale=1000, output_scale=0.002)
     np.testing.assert_allclose(record.voltage, VOLTAGE, rtol=1e-14)
@@ -150,7 +150,7 @@ def test_two_matches_need_a_choice(tmp_path):
     assert "--output-column" in refused(path)
     assert read(path, output_column="displacement_V")[0].displacement_unit == "V"
     save_csv(path, columns(time_ms=TIME * 2000))
-    assert "two matches" in refused(path)
+    assert "two columns may be" in refused(path)
     save_csv(path, columns(time_ms=TIME * 1000 + 5))
     assert read(path)[0].dt == pytest.approx(1e-3)  # they agree
     save_csv(path, columns(voltage_V=None, **{"Voltage (V)": VOLTAGE, "Monitor (V)": VOLTAGE}))
@@ -164,7 +164,7 @@ def test_the_exact_name_wins_and_that_is_told(tmp_path):
     save_csv(path, columns(voltage_command_V=2 * VOLTAGE, note=["abc"] * T, laser_um=OUTPUT))
     (record,) = read(path)
     assert record.voltage[0] == VOLTAGE[0]
-    assert "beside 'voltage_command_V'" in record.recognised["input"]
+    assert "other candidates: 'voltage_command_V'" in record.recognised["input"]
     assert read(path, input_column="voltage_command_V")[0].voltage[0] == 2 * VOLTAGE[0]
     assert read(path, output_column="laser_um")[0].displacement_unit == "um"
     assert "unit" in refused(path, input_column="note")

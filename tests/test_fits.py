@@ -88,7 +88,7 @@ def test_a_number_does_not_fall_below_its_lowest(stiff):
     slots = stiff.nominal.copy()
     slots[INDEX[GENT]] = 0.5
     fitter = Fitter(stiff)
-    fitter.lowest = {GENT: 0.4}  # 0.25 was planted
+    fitter.bounds = {GENT: (0.4, np.inf)}  # 0.25 was planted
     (found,) = fitter.fit([Fit(("spring",), (GENT,), slots, stiff.starts.copy())], 15)
     assert found.value(GENT) == pytest.approx(0.4)
 

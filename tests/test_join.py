@@ -75,7 +75,7 @@ def test_rows_that_do_not_belong_together_are_refused(tmp_path):
     save_csv(tmp_path / "u.csv", {"time_s": TIME, "voltage_V": VOLTAGE})
     save_csv(tmp_path / "y.csv", {"displacement_mm": OUTPUT[:90], "temperature_degC": OUTPUT[:90]})
     message = refused(tmp_path / "u.csv", join=[tmp_path / "y.csv"])
-    assert "u.csv (100 rows), y.csv (90 rows)" in message and "one length" in message
+    assert "u.csv (100 rows), y.csv (90 rows)" in message and "same length" in message
     assert "--join" not in refused(tmp_path)
     with pytest.raises(BadInput, match=r"none\.csv"):
         read(tmp_path / "u.csv", join=[tmp_path / "none.csv"])

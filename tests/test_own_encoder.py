@@ -138,7 +138,7 @@ def test_an_own_encoder_is_saved_and_restored_by_a_template(known, tmp_path):
     ) as e:
         pitp.load(path)
     assert len(str(e.value)) - len(str(path)) < 150
-    with pytest.raises(pitp.BadInput, match="Net is not the stored encoder"):
+    with pytest.raises(pitp.BadInput, match="Net does not match the stored encoder"):
         pitp.load(path, encoder=Net(2, 4, key=jax.random.key(0)))
     pitp.save(path, known)
     with pytest.raises(pitp.BadInput, match="no encoder of your own"):

@@ -47,9 +47,9 @@ def test_unknown_names_are_refused_with_the_list():
     with pytest.raises(ValueError, match="cone100, cone122, cone150, roll"):
         plant("cone")
     p, t = plant("cone100"), np.arange(100) / 1e3
-    with pytest.raises(ValueError, match="no hold"):
+    with pytest.raises(ValueError, match="unknown hold"):
         simulate(p, t, 0 * t, hold="spline")
-    with pytest.raises(ValueError, match="no method"):
+    with pytest.raises(ValueError, match="unknown method"):
         simulate(p, t, 0 * t, method="euler")
     with pytest.raises(ValueError, match="voltage"):
         simulate(p, t, np.zeros(7))

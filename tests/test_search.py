@@ -61,15 +61,17 @@ def test_the_best_four_go_to_their_optimum_whatever_their_first_steps_gain():
     """Six hypotheses; after the first steps all leave more than the base, at their optimum all leave less."""
     search, to_the_end = bare_search(), []
     search.every = {frozenset(): hypothesis(fit_of(cost=0.0), 1.0)}
+    search.every[frozenset()].fit.residuals = [np.ones(SAMPLES)]
+    search.floors, search.misfit, search.samples = np.zeros(1), 0.0, SAMPLES
 
     def fitted(fits, iterations):
         for f in fits:
-            f.cost = float(f.names[0]) * (1 if iterations < 14 else -1) * SAMPLES
+            f.cost = float(f.names[0]) * (1 if iterations < 14 else -1)
+            f.residuals = [np.full(SAMPLES, np.exp(0.5 * f.cost))]
         if iterations == 14:
             to_the_end.extend(f.names[0] for f in fits)
 
     search.fitter = SimpleNamespace(fit=fitted)
-    search._left = lambda fit: fit.cost / SAMPLES  # stands for the log of the mean square error
     search._climb({frozenset([n]): [fit_of(n)] for n in "615243"})
     assert sorted(to_the_end) == list("1234")
     assert set(search.waiting) == {frozenset(n) for n in "1234"}

@@ -22,7 +22,7 @@ INSIDE = (
     "stiffening softening end_stop slack creep relaxation hysteresis coulomb_friction drag electrode_rc slew_limit "
     "voltage_clip voltage_offset delay charge_leak stretch_coupling dielectric_saturation added_mass second_mode "
     "dead_zone stiffness_drift sensor_gain sensor_lag parameter_change backlash charge_retention mullins "
-    "sensor_nonlinearity"
+    "sensor_nonlinearity bleeder force_lag"
 ).split()
 OUTSIDE = ("hum", "wander", "pumping", "tremor", "impulses", "dropouts")
 

@@ -11,7 +11,7 @@ _HOMES = {
     mechanical: ("stiffening", "softening", "end_stop", "creep", "relaxation", "hysteresis", "coulomb_friction",
                  "drag", "mullins", "backlash"),
     electrical: ("electrode_rc", "slew_limit", "voltage_clip", "dead_zone", "voltage_offset", "delay", "charge_leak",
-                 "charge_retention", "stretch_coupling", "dielectric_saturation"),
+                 "charge_retention", "stretch_coupling", "dielectric_saturation", "bleeder", "force_lag"),
     other: ("slack", "added_mass", "second_mode", "stiffness_drift", "sensor_gain", "sensor_lag",
             "sensor_nonlinearity", "parameter_change"),
 }  # fmt: skip

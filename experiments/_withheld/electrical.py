@@ -1,6 +1,9 @@
 """Between the commanded voltage and the force: electrode, amplifier, leakage, coupling.
 
     electrode   three RC sections in a row, V = sqrt(mean V_i^2): the film's far end is charged late
+    bleeder     V' = (u - V) (1 + k (1 - tanh((u - V)/w))/2) / tau: the film is charged slower than it is discharged,
+                or the other way round
+    force       V^2 = F_2, F_1' = 2 (u^2 - F_1)/tau, F_2' = 2 (F_1 - F_2)/tau
     amplifier   V' = s tanh(e/s) or e/(1 + |e/s|^3)^(1/3), e = (u - V)/tau, tau w0 = 0.02;
                 V = u + V_0;   V = u(t - T);   V = u - w log(1 + exp((u - u_m)/w))
                 dead zone V = w log(1 + exp((u - u_0)/w)), less its value at u = 0
@@ -22,6 +25,19 @@ def _ladder_rate(p, c, u, x, v, s):
     a, b, d = s
     rate = 9.0 / (2.0 * p)
     return (rate * (u - 2.0 * a + b), rate * (a - 2.0 * b + d), rate * (b - d))
+
+
+def _bleeder_draw(rng, stats):
+    return {"k": rng.choice([-0.75, 3.0, 6.0]), "w": 0.02}
+
+
+def _bleeder(p, c, u, x, v, s):
+    error = u - s[0]
+    return (error * (1.0 + 0.5 * c["k"] * (1.0 - jnp.tanh(error / c["w"]))) / p,)
+
+
+def _late_force(p, c, u, x, v, s):
+    return (2.0 * (u**2 - s[0]) / p, 2.0 * (s[0] - s[1]) / p)
 
 
 def _slew_draw(rng, stats):
@@ -82,6 +98,14 @@ def _sign(rng, stats):
 ELECTRODE_RC = (
     Form("ladder", (0.06, 5.0), states=3, stiff=100.0, rates=_ladder_rate,
          drive=lambda p, c, u, s: jnp.sqrt((s[0] ** 2 + s[1] ** 2 + s[2] ** 2) / 3.0)),
+)  # fmt: skip
+BLEEDER = (
+    Form("smooth", (0.06, 5.0), draw=_bleeder_draw, states=1, stiff=100.0, rates=_bleeder,
+         drive=lambda p, c, u, s: s[0]),
+)  # fmt: skip
+FORCE_LAG = (
+    Form("two_lags", (0.06, 5.0), states=2, stiff=60.0, rates=_late_force,
+         drive=lambda p, c, u, s: jnp.sqrt(jnp.maximum(s[1], 0.0))),
 )  # fmt: skip
 SLEW_LIMIT = (
     Form("tanh", (0.8, 60.0), draw=_slew_draw, states=1, stiff=60.0, rates=_slew, drive=lambda p, c, u, s: s[0]),
