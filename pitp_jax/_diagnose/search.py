@@ -158,7 +158,7 @@ class Search:
     def _is_tried(self, form: Form) -> bool:
         """Return whether a form can be added to the base and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
-        if spec is None or form.name in self.exclude:
+        if spec is None or spec.only_given or form.name in self.exclude:
             return False
         if spec.needs_mass and not mass or spec.squares and not self.case.simulator.square:
             return False

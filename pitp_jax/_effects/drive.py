@@ -60,7 +60,7 @@ DRIVE = (
         "bleeder", "one lag each way",
         (Parameter("up", "s", off=0.0, linear=False), Parameter("down", "s")),
         "The electrodes discharge faster or slower than they charge.",
-        "tau V' = u - V, tau = up where |u| > |V|, else down", "drive", "IN", kernel=lag_each_way(),
+        "tau V' = u - V, tau = up where |u| > |V|, else down", "drive", "IN", kernel=lag_each_way(), only_given=True,
         law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
         inverse=lambda p, v, dt: lead(v, dt, jnp.where(p.up > 0, jnp.where(v * slope(v, dt) > 0, p.up, p.down), 0.0)),
     ),
@@ -70,7 +70,7 @@ DRIVE = (
         # not from zero: there a root has no slope
         law=lambda p, u, z: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(z[0], 1e-9)), u),
         inverse=lambda p, v, dt: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(_led_force(p, v, dt), 1e-9)), v),
-        passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag",
+        passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag", only_given=True,
     ),
     EffectSpec(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",

@@ -75,6 +75,7 @@ class EffectSpec:
         driven: its force depends on the film's force, so an inverse must solve for that.
         costly: a step needs exponentials or many states; the search simulates such sets separately.
         resolved: friction and slack, whose force follows within a step after all other forces.
+        only_given: fitted if the nominal model has it; the search does not add it (docs/decisions/verdict.md).
         linear: a part of a linear model (a delay or filter of input or reading).
         stiffens: its first parameter is an additional stiffness, in units of the nominal's.
         moves: the parameter of a linear model that it changes: "mass", "gain" or "delay".
@@ -102,6 +103,7 @@ class EffectSpec:
     driven: bool = field(default=False, compare=False)
     costly: bool = field(default=False, compare=False)
     resolved: bool = field(default=False, compare=False)
+    only_given: bool = field(default=False, compare=False)
     linear: bool = field(default=False, compare=False)
     stiffens: bool = field(default=False, compare=False)
     moves: str = field(default="", compare=False)
