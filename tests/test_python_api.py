@@ -113,8 +113,8 @@ def test_mistakes_are_told_in_one_line():
     lines = done.stdout.splitlines()
     assert len(lines) == 7, done.stderr
     for line, part in zip(
-        lines, ("a list is no model", "pitp.read('sweep.csv')", "a int among", "give a list", "a int is not a list",
-                "a str is no model", "pitp.load(FILE)"), strict=True,
+        lines, ("a list is not a model", "pitp.read('sweep.csv')", "a int among", "give a list", "a int is not a list",
+                "a str is not a model", "pitp.load(FILE)"), strict=True,
     ):  # fmt: skip
         assert part in line
 
