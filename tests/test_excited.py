@@ -111,6 +111,15 @@ def test_sentence_and_remedy(fitted):
     assert input_words(fitted, input_beyond(fitted, sine(3.0, 300.0), DT)) == ""
 
 
+@pytest.mark.parametrize(("size", "told"), [(0.2, False), (0.7, True)])
+def test_a_part_below_a_tenth_of_the_energy_is_not_worth_a_line(fitted, size, told):
+    """Beside a trained sine one of 11 Hz with 4 % or 33 % of the energy."""
+    mixed = sine(3.0, 300.0) + sine(11.0, 300.0 * size)
+    part = input_beyond(fitted, mixed, DT)
+    assert part.fraction == pytest.approx(size**2 / (1 + size**2), rel=0.1)
+    assert bool(input_words(fitted, part)) is told
+
+
 def test_amplitude_is_told_in_the_users_unit(fitted):
     words = input_words(fitted, input_beyond(fitted, sine(3.0, 900.0), DT))
     assert "up to 900 V" in words and "up to 300 V there" in words

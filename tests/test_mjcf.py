@@ -466,6 +466,8 @@ def test_a_file_of_the_users_is_not_replaced_by_the_identified_one(arm, capsys):
     mine.write_text("<mujoco/>")
     told = ["diagnose", "robot", "--against", "sim", "--mjcf", str(arm), "--joint", "elbow", "--out", str(mine.parent)]
     assert main(told) == 2 and "was not written by pitp" in capsys.readouterr().err
+    mine.write_text("<mujoco>\n<!-- pitp: numbers identified on recordings; ... --></mujoco>")
+    assert main(told) == 2 and "robot" in capsys.readouterr().err  # the recordings are looked for: ours is replaced
     again = ["--mjcf", str(arm), "--joint", "elbow", "--out", str(arm.parent)]
     arm.rename(arm.parent / "arm_identified.xml")
     again[1] = str(arm.parent / "arm_identified.xml")

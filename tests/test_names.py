@@ -265,6 +265,15 @@ def test_every_form_of_the_catalogue_is_reached():
     assert all(r in started | beside or r.linear for r in ROWS)
 
 
+def test_forms_that_are_only_given_are_not_added():
+    """A planted electrode lag was reported as a lag each way, which has one more parameter."""
+    search: Any = object.__new__(Search)
+    search.scale, search.exclude, search.refit = replace(SCALE, session=99.0, radian=1.0), set(), True
+    search.case, search.movable, search.core = SimpleNamespace(simulator=SimpleNamespace(square=True)), (), ()
+    tried = {f.spec.name for f in forms(search.scale) if f.spec and search._is_tried(f)}
+    assert "electrode_rc" in tried and not tried & {"bleeder", "force_lag"}
+
+
 def test_a_second_mass_hangs_on_a_first():
     assert {f.spec.form: f.spec.needs_mass for f in forms(SCALE) if f.spec and f.name == "second_mode"} == {
         "hung on": True,

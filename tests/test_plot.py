@@ -168,5 +168,6 @@ def test_a_dense_sine_is_drawn_by_twelve_periods_and_a_chirp_whole():
     time = np.arange(20_000) * 1e-3
     part = some_periods(3.0 + np.sin(2 * np.pi * 4.0 * time))
     assert time[part][-1] - time[part][0] == pytest.approx(3.0, abs=0.01)  # twelve periods of 0.25 s
+    assert time[part].mean() == pytest.approx(10.0, abs=0.3)  # of the middle
     for whole in (np.sin(2 * np.pi * time), np.sin(2 * np.pi * 0.2 * time**2), np.zeros(20_000), np.full(9, np.nan)):
         assert some_periods(whole) == slice(None)
