@@ -131,7 +131,7 @@ def test_an_adapted_encoder_is_one_formula_and_survives_its_file(nonlinear, orde
     model = eqx.tree_at(lambda m: m.encoder.tilt, model, jnp.asarray([0.05, -0.1]))
     f = jax.random.normal(jax.random.key(1), (order + 2, 7))
     one = eqx.filter_jit(lambda m: jax.vmap(m.encoder, 1, 1)(f))(model)
-    many = eqx.filter_jit(lambda m: [jnp.stack(list(m.encoder.over(w)(list(f)))) for w in ("instants", "records")])
+    many = eqx.filter_jit(lambda m: [jnp.stack(list(m.encoder.over(w)(list(f)))) for w in ("instant", "instants")])
     for rows in many(model):
         np.testing.assert_allclose(rows, one, rtol=1e-4, atol=1e-5)
     pitp.save(tmp_path / "m", model)

@@ -111,7 +111,7 @@ def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css:
 
     def cells(row: Sequence[str]) -> str:
         return "".join(
-            f'<td{_class(css.get(k, ""))} data-label="{escape(header[k])}">{_text(text or "–")}</td>'
+            f'<td{_class(css.get(k, ""))} data-label="{_text(header[k])}">{_text(text or "–")}</td>'
             for k, text in enumerate(row)
         )
 
