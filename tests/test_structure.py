@@ -1,7 +1,5 @@
 """The structure of a model by its error on excitations left out: closed forms, planted effects, and who is grouped."""
 
-from dataclasses import replace
-
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -130,11 +128,10 @@ def test_a_hardening_spring_predicts_each_excitation_left_out(fitting):
 
 
 @pytest.mark.parametrize("count", [1, 8])
-def test_one_excitation_or_eight_keep_the_encoder(fitting, count):
+def test_one_excitation_or_eight_keep_the_encoder(actuator, count):
     """The first cannot be left out, the last are enough: no search, no fold."""
-    how, records, encoder = fitting
     drives = [sine(1.0 * 2 ** (k / 2)) for k in range(count)] * 2
     some = [pitp.Record(f"{k}", TIME, u, 1e-3 * u) for k, u in enumerate(drives)]
-    how = replace(how, identify=lambda some: pytest.fail("compared"))
-    found = choose(how, some, encoder)
+    encoder = pitp.Training(pitp.Fitted(actuator), (), False)
+    found = choose(Fitting(actuator, lambda some: pytest.fail("compared"), pitp.Settings(), KEY), some, encoder)
     assert (found.structure, found.errors, found.training) == ("encoder", {}, encoder)

@@ -27,6 +27,7 @@ from .._train.training import Training, train
 from .left_out import Identify, errors_left_out, folds_of
 from .physical import Physical, as_training, find_physical
 
+_TIMES = 4  # of the encoder's training: a search of one, two short trainings in each of three folds, and the last one
 STRUCTURES = ("physical", "encoder", "both")  # those with the fewest parameters first
 
 
@@ -108,7 +109,7 @@ def choose(how: Fitting, records: Sequence[Record], encoder: Training) -> Choice
         return Choice("encoder", what, encoder)
     seconds = float(encoder.notes.get("seconds", np.inf))
     how.say(f"comparing three structures on {count} excitations, each left out as a whole: about "
-            f"{3 * seconds:.0f} s (--structure encoder skips this)")  # fmt: skip
+            f"{_TIMES * seconds:.0f} s (--structure encoder skips this)")  # fmt: skip
     try:
         return _compared(how, moving, folds, encoder, seconds)
     except KeyboardInterrupt:
