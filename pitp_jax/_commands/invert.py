@@ -119,9 +119,9 @@ def _unit_to_write(unit: str | None, units: Units) -> Quantity:
 
 
 def _expect(model: Fitted, planned: Feedforward) -> None:
-    """Print the tracking error to expect; where the target is not covered, that no figure is known."""
+    """Print the expected tracking error, or that it is not known for this target."""
     if planned.outside_training_share > WORTH_A_LINE:
-        print("expected tracking error: no figure is known, because the model was not trained with this target")
+        print("expected tracking error: not known, because the model was not trained with such a motion")
     elif expected := expected_error(model, planned.wanted):
         print(f"expected tracking error: {number(expected.percent, 2)} % of range ({expected.source})")
 
@@ -132,10 +132,7 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     scaled = "" if input_scale == 1 else f" (divided by {number(input_scale)} in the file)"
     print(f"largest input {largest} {played.unit}{scaled}: {len(values)} samples in {out}")
     own = float(planned.time[np.argmax(planned.target)])
-    print(
-        f"the file's clock starts at 0 s; the target starts at {own - planned.time[0]:.6g} s of it ({own:.6g} s of "
-        "the target's own clock)"
-    )
+    print(f"in this file the target starts at {own - planned.time[0]:.6g} s, which is {own:.6g} s in the target's file")
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
     # a smaller error only shows that the inversion is correct, not how well the rig will track
     if planned.self_check_e_rms_percent >= _ROUNDING:
