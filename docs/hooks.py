@@ -1,4 +1,4 @@
-"""What MkDocs does beside its plug-ins: the catalogue's pages are made, and links out of `docs/` find their place.
+"""What MkDocs does beside its plug-ins: it makes the pages of the catalogue and of error messages, and turns links.
 
 Pages of the repository outside `docs/` (OUTSIDE) are part of the site; a link to another file there becomes its name.
 Every link of a page is relative to where its text lies in the repository, so the pages read on a forge as they do here.
@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
+import messages
 from catalogue import groups, pages  # MkDocs loads hooks with their folder on the path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -27,11 +28,12 @@ LINK = re.compile(r"(!?)\[([^\]]*)\]\(([^)\s]+)\)")
 
 
 def on_files(files, config):
-    """Add the catalogue and the pages that lie outside `docs/`."""
+    """Add the catalogue, the page of error messages, and the pages that lie outside `docs/`."""
     from mkdocs.structure.files import File
 
     for name, text in pages().items():
         files.append(File.generated(config, f"catalogue/{name}", content=text))
+    files.append(File.generated(config, "messages.md", content=messages.page()))
     for source, place in OUTSIDE.items():
         files.append(File.generated(config, place, content=(ROOT / source).read_text(encoding="utf-8")))
     for drawn in sorted((ROOT / FIGURES).glob("*.png")):
@@ -106,6 +108,7 @@ def write_sources(folder: Path) -> None:
     import yaml
 
     made = {f"catalogue/{name}": text for name, text in pages().items()}
+    made["messages.md"] = messages.page()
     made |= {place: (ROOT / source).read_text(encoding="utf-8") for source, place in OUTSIDE.items()}
     docs = ROOT / "docs"
     made |= {str(p.relative_to(docs).as_posix()): p.read_text(encoding="utf-8") for p in docs.rglob("*.md")}

@@ -18,11 +18,11 @@ T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")
 
 
-def traces(error=2e-4, hum=0.0):
+def traces(error=2e-4):
     found = []
     for k, name in enumerate(NAMES):
         x = 1e-3 * np.sin(2 * np.pi * (1 + k) * T)
-        off = error * (k + 1) / 3 * np.cos(2 * np.pi * (1 + k) * T) * (T > 2) + hum * np.cos(2 * np.pi * 7.5 * T)
+        off = error * (k + 1) / 3 * np.cos(2 * np.pi * (1 + k) * T) * (T > 2)
         measured = x.copy()
         measured[100:110] = np.nan
         voltage = 1000 * (1 - np.cos(2 * np.pi * (1 + k) * T))

@@ -72,6 +72,34 @@ def test_all_coefficients_alike_are_a_gain_and_each_on_its_own_is_not(actuator):
         assert found.changed[name].ci95[0] <= truth <= found.changed[name].ci95[1]
 
 
+@pytest.mark.parametrize("volts", [500.0, 0.0])
+def test_a_constant_velocity_shows_few_factors(actuator, volts):
+    """Under no input no factor is known; under a constant one a weak spring and a strong damper move like this."""
+    a = np.asarray(actuator.physical_coefficients, float)
+    velocity = 0.1 * volts**2 / a[1] if volts else 1e-4
+    y = velocity * TIME + 1e-3 * velocity * np.random.default_rng(5).standard_normal(len(TIME))
+    found = pitp.adapt(actuator, pitp.Record("day", TIME, np.full(len(TIME), volts), y))
+    if volts:
+        low, high = found.changed["damping"].ci95
+        assert found.verdict == "adapted" and low <= 10 <= high
+    else:
+        assert found.verdict == "retrain" and not any(c.is_significant for c in found.changed.values())
+
+
+def test_an_unseen_direction_has_a_large_variance():
+    """Two of three columns are one: their sum is as certain as without the third number, their difference unknown."""
+    rng = np.random.default_rng(2)
+    one, other = rng.standard_normal((2, 4000))
+    residual = 0.1 * rng.standard_normal((1, 4000))
+    spread = covariance(residual, np.stack([one, one, other], 1), 0.1)
+    alone = covariance(residual, np.stack([2 * one, other], 1), 0.1)
+    half = np.array([0.5, 0.5, 0.0])
+    assert half @ spread @ half == pytest.approx(alone[0, 0], rel=1e-3)
+    assert spread[2, 2] == pytest.approx(alone[1, 1], rel=1e-3)
+    apart = np.array([1.0, -1.0, 0.0])
+    assert apart @ spread @ apart > 1e4
+
+
 @pytest.mark.parametrize("sensor", [{}, {"zero": 3e-4}, {"direction": -1.0}, {"zero": -2e-4, "direction": -1.0}])
 def test_the_same_actuator_is_unchanged_whatever_the_sensor_shows(actuator, sensor):
     found = pitp.adapt(actuator, measured(actuator, **sensor))

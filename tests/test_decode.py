@@ -235,7 +235,7 @@ def test_a_memory_outside_its_training_is_named_by_its_time(linear):
     features = np.full((10, 4), 0.5)
     features[4:, 3] = 1.3
     assert outside_words(model, features, np.arange(10)) == (
-        "memory of 80 s by up to 30 % of its trained range, first at 4 s"
+        "memory with time constant 80 s by up to 30 % of its trained range, first at 4 s"
     )
 
 

@@ -1,9 +1,14 @@
 """The pages say what is there: every form is described, commands and options exist (links: test_manual)."""
 
+import importlib
 import re
 from pathlib import Path
 
+import pytest
+
+import pitp_jax as pitp
 from pitp_jax._effects import CATALOGUE
+from pitp_jax._errors import BadInput
 from pitp_jax.cli import _parser
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -51,3 +56,36 @@ def test_the_page_of_every_room_lists_its_files():
         listed = re.findall(r"^- `(\w+)\.py`", text, re.M)
         assert sorted(listed) == sorted(p.stem for p in room.glob("*.py") if p.stem != "__init__"), room.name
         assert "**In:**" in text and "**Out:**" in text and "```" in text
+
+
+def test_every_error_message_is_on_the_page_of_messages(monkeypatch, tmp_path):
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    text = importlib.import_module("messages").page()
+    page = re.sub(r"\\(.)", r"\1", text.replace("**", ""))
+    begin = re.compile(r'(?:BadInput|ComputationFailed|_Ask)\(\s*f?"([^"\n]+)"')
+    raised = [
+        m for path in SOURCES if "pitp_jax" in path.parts for m in begin.findall(path.read_text(encoding="utf-8"))
+    ]
+    fixed = {part for text in raised for part in re.split(r"\{[^{}]*\}", text) if len(part.split()) > 1}
+    assert len(fixed) > 200
+    assert [part for part in fixed if part.strip() not in page and not set(part) & set("{}\\")] == []
+    # messages as a user gets them, each one line of the page with its values filled in
+    lines = [line[2:] for line in page.splitlines() if line.startswith("- ") and len(line.split()) > 4]
+    pieces = [[part for part in re.split(r"…|\([^()]* \| [^()]*\)", line) if part.strip()] for line in lines]
+    bare, text_file = tmp_path / "bare.csv", tmp_path / "a.txt"
+    bare.write_text("time_s,voltage,way\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(99)))
+    text_file.write_text("no table")
+    for refused in (
+        lambda: pitp.read(tmp_path / "none.csv"),
+        lambda: pitp.read(text_file),
+        lambda: pitp.read(bare),
+        lambda: pitp.read(bare, input_unit="parsec"),
+        lambda: pitp.read(),
+        lambda: pitp.load(text_file),
+        lambda: pitp.plan(max_voltage=-1.0, band=(1.0, 2.0)),
+        lambda: pitp.load(tmp_path),
+    ):
+        with pytest.raises(BadInput) as caught:
+            refused()
+        told = str(caught.value)
+        assert any(all(part in told for part in parts) for parts in pieces), told

@@ -158,7 +158,7 @@ def test_predict_steps_are_the_rollout(models, truths, kind):
     np.testing.assert_allclose(found[late:], whole[1 : COUNT + 1 - late], rtol=0, atol=1e-12 * np.ptp(whole))
 
 
-@kinds("effects")
+@kinds("effects", "linear")
 def test_inverse_steps_are_eq_13(models, kind):
     """Up to how V' is taken (2nd order instead of 4th), and to the delay, which asks for the target ahead."""
     model = double(models(kind))

@@ -1,4 +1,4 @@
-"""A sensor's spikes, dropouts and clipping are masked; real motion is not."""
+"""A sensor's spikes, off-scale values and clipping are masked; motion and runs of one value are not."""
 
 import numpy as np
 import pytest
@@ -32,14 +32,21 @@ def test_a_lost_laser_at_an_end_of_the_record(edge):
     assert np.flatnonzero(np.isnan(mask_faults(x, DRIVE).displacement)).tolist() == [edge]
 
 
-@pytest.mark.parametrize("value", [0.9999, 2e-4])
-def test_dropouts_are_masked_whole(value):
-    """The laser sees nothing for 40 samples, and shows its maximum, or what it shows then, within the motion."""
+def test_an_off_scale_stretch_is_masked_whole():
+    """The laser sees nothing for 40 samples, and shows its maximum."""
     x = MOTION.copy()
-    begin = 2000 if abs(MOTION[2000] - value) > 5e-4 else 2100
-    x[begin : begin + 40] = value
+    x[2000:2040] = 0.9999
     found = mask_faults(x, DRIVE)
-    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found.displacement)), np.arange(begin, begin + 40))
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(found.displacement)), np.arange(2000, 2040))
+    assert found.held == 0
+
+
+def test_a_stretch_of_one_value_within_the_motion_is_reported_and_kept():
+    x = MOTION.copy()
+    x[2000:2040] = 2e-4
+    found = mask_faults(x, DRIVE)
+    assert found.held == 40 and found.outliers == 0
+    np.testing.assert_array_equal(found.displacement, x)
 
 
 def test_clipping_is_masked_where_the_drive_moves():
@@ -111,16 +118,14 @@ def held(x, length=60, every=800):
     return x, at
 
 
-def test_a_laser_that_holds_its_last_value_is_a_dropout_of_a_noisy_sensor_only():
-    x, at = held(MOTION)
-    seen = np.isnan(mask_faults(x, DRIVE).displacement)
-    assert seen[at].all() and seen.sum() <= at.sum() * 62 / 59
-    x, at = held(np.round(MOTION - NOISE, 6))  # without noise it may be stiction: kept, and told
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_a_laser_that_holds_its_last_value_is_reported_and_kept(noise):
+    """A dropout or stiction: the samples alone cannot show which."""
+    x, at = held(MOTION if noise else np.round(MOTION - NOISE, 6))
     masked = mask_faults(x, DRIVE)
-    assert not np.isnan(masked.displacement).any() and masked.held > at.sum() / 2
-    x, at = held(MOTION)
-    flat = np.where(np.append(at[1:], False) | at, 1000.0, DRIVE)  # in the plateaus of a drive
-    assert not np.isnan(mask_faults(x, flat).displacement[at]).any()
+    assert not np.isnan(masked.displacement).any() and at.sum() / 2 < masked.held <= at.sum() * 62 / 59
+    flat = np.where(np.append(at[1:], False) | at, 1000.0, DRIVE)  # the output may stand still while the input does
+    assert mask_faults(x, flat).held == 0
 
 
 def test_a_sensor_that_sees_nothing_for_most_of_the_record_is_told():

@@ -18,6 +18,7 @@ from .factors import TILTS, Factors
 
 _CHANGED, _ALONG = 0.1, 0.3  # probabilities: of any change; that a parameter is part of it
 _EACH = 4.0  # decrease of z' C^-1 z required per parameter, once there is a change: two standard deviations
+_UNSEEN = 1e-10  # of the largest eigenvalue of H, which is at least 1: the smallest that counts
 _ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at most its dimension
 
 
@@ -33,7 +34,9 @@ def covariance(
     meat = 2 * (score.conj().T @ score).real / residual.shape[1] ** 2
     weight = (np.abs(slopes) ** 2).sum(-1) * power
     lines = weight.sum() ** 2 / max((weight**2).sum(), 1e-300)  # effective number of frequencies in M
-    inverse = np.linalg.pinv(jacobian.T @ jacobian, rcond=1e-10, hermitian=True)
+    size, along = np.linalg.eigh(jacobian.T @ jacobian)
+    # A pseudo-inverse would give a direction that the recording does not show no variance, as if it were certain.
+    inverse = along / np.maximum(size, _UNSEEN * max(size[-1], 1.0)) @ along.T
     samples = np.count_nonzero(residual)
     # lines / (lines - count): the fit has removed `count` of them from the residual, as degrees of freedom
     noise = inverse @ meat @ inverse * lines / max(lines - count, 1.0)

@@ -71,7 +71,8 @@ class Factors(NamedTuple):
     def factor(self, name: str, q: float) -> float:
         """Return the factor of a named parameter changed by q; nan if the model's own was practically zero."""
         if name not in TIMES:
-            return float(np.exp(q))
+            with np.errstate(over="ignore"):  # an unknown factor may be infinite
+                return float(np.exp(q))
         own = self.own(name)
         return max(own + float(self.unit) * q, 0.0) / own if own > self.unit else float("nan")
 

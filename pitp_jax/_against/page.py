@@ -65,8 +65,8 @@ def _table(found: SimToReal) -> str:
         rows.append(("named" if p.difference and p.certain else "pale" if not p.difference else "", cells))
     gain = any("Kp" in p.unit for p in found.parameters)
     note = (
-        "Bold: reported by the diagnosis. The damping includes the controller's own, the inertia the link's: add the "
-        "difference."
+        "Bold rows belong to effects that the diagnosis reports. The damping includes that of the controller, and the "
+        "inertia includes the link. Therefore add the difference to the value in the simulator."
     )
     kp = " Kp is the gain of the position controller; give --position-gain to get torques." if gain else ""
     return html.table(header, rows, dict.fromkeys((0, 4, 5, 6), "long")) + tag("p", note + kp, "soft")

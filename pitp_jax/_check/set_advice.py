@@ -46,13 +46,17 @@ def set_advice(
         )
     strange = [name for name, row in fitted.records.items() if row.strange] if fitted else []
     if strange:
-        lines.append(f"{_some(strange)} may not belong to this set; check them, or leave them out")
+        it = "it" if len(strange) == 1 else "them"
+        lines.append(f"{_some(strange)} may not belong to this set; check {it}, or leave {it} out")
     if turned:
         lines.append(f"the sensor is reversed in {_some(turned)}; this is taken into account, but check its sign")
     if not beside and fitted is None:
         lines.append("no linear model could be fitted, so initial states, sensor offsets and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
-        lines.append("a force proportional to the input explains these better than its square; give --input-map linear")
+        lines.append(
+            "a force proportional to the input explains these better than its square; give `identify` and `fit` "
+            "--input-map linear (`diagnose --against` chooses by itself)"
+        )
     lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()

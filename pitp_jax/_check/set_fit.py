@@ -210,6 +210,7 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
     if poor:
         return (
             f"does not fit the others: one linear model leaves {100 * row.unexplained:.0f} % of it unexplained and "
-            f"{100 * usual:.0f} % of most others; check whether actuator, input or sensor changed"
+            f"{100 * usual:.0f} % of most others; check whether actuator, input or "
+            "sensor changed, or whether the stroke is much larger there (hardening)"
         )
     return ""

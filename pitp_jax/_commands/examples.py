@@ -37,7 +37,7 @@ EXAMPLES = {
     ),
     "diagnose": (
         "pitp diagnose demo/held_out --nominal demo/model.pitp",
-        "pitp diagnose demo/records --nominal demo/nominal.pitp --refit-nominal --out report",
+        "pitp diagnose demo/robot --against demo/sim --position-gain 20 --out gap",
     ),
     "verify": (
         "pitp verify demo/robot --mjcf demo/joint.xml --joint elbow --out check",

@@ -1,7 +1,7 @@
 """Convert the command that a refusal proposes into the command that was run.
 
 ...; try: pitp check FILE --option VALUE        ->  try: pitp identify FILE --out M --option VALUE
-for two sets of files                            ->  put into FOLDER/pitp.toml: ["*"] option = "VALUE"
+for two sets of files                            ->  write into FOLDER/pitp.toml: "*" = {option = "VALUE"}
 """
 
 import json
@@ -28,8 +28,8 @@ def own_command(text: str, argv: Sequence[str]) -> str:
         return text
     if argv[0] == "compare" or "--against" in argv:
         folder = paths[0] if os.path.isdir(paths[0]) else os.path.dirname(paths[0])
-        keys = "; ".join(f"{option[2:]} = {_value(option, values)}" for option, *values in by_option(options))
-        whole = f'{head}; put into {os.path.join(folder, "pitp.toml")}: ["*"] and below it {keys}'
+        keys = ", ".join(f"{option[2:]} = {_value(option, values)}" for option, *values in by_option(options))
+        whole = f'{head}; write into {os.path.join(folder, "pitp.toml")}: "*" = {{{keys}}}'
     else:
         # A name with control characters is printed cleaned, so its command must be typed anew.
         words = ["pitp", *_without(argv, [group[0] for group in by_option(options)]), *options]

@@ -10,6 +10,8 @@ from .._table.quantity import Units
 from .._table.units import from_base
 from .console import number, print_table
 
+_HOLDS = {"foh": "linear between samples", "zoh": "held between samples", "bandlimited": "band-limited between samples"}
+
 
 def print_model(model: Fitted, summary: dict) -> None:
     """Print a model: its `describe` and its sensor's offset and direction."""
@@ -29,7 +31,8 @@ def print_model(model: Fitted, summary: dict) -> None:
     for mode in summary["modes"]:
         kind = "mode" if mode["oscillates"] else "real pole"
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
-    print(f"hold {summary['hold']}, {summary['substeps']} RK4 step(s) per sample of {number(summary['dt'])} s")
+    steps = "one Runge-Kutta step" if summary["substeps"] == 1 else f"{summary['substeps']} Runge-Kutta steps"
+    print(f"input {_HOLDS[summary['hold']]} (hold {summary['hold']}); {steps} per sample of {number(summary['dt'])} s")
     print(sensor_line(model))
     print(
         f"{units.input_word} of the recordings: {units.input.range_text(*model.domain.voltage_range)}, "

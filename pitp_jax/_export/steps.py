@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from .._effects.effect import Effect
 from .._effects.kernels import shifted
-from .._invert.realtime import film_after, film_held, memory_after
+from .._invert.one_sample import film_after, film_held, memory_after
 from .._model.coordinate import from_model, to_model
 from .._model.model import Model
 from .._numerics.intersample import weights
@@ -111,7 +111,8 @@ def samples_of(effect: Effect, dt: float) -> int:
 
 def inverse(model: Model, dt: float) -> Step:
     """Build the step from [y, ..., y^(n)] (m / s^i, from 0 V) to the voltage (V) and whether it is infeasible."""
-    n, scales = model.order, jnp.asarray(model.scales.state)
+    n = model.order
+    scales = np.asarray(model.scales.state)  # float64 wherever the step is built; jnp.asarray may round to float32
     senses = bool(ports.sensors(model))
 
     def start(y, u):

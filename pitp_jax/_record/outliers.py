@@ -1,8 +1,9 @@
-"""Find and mask sensor faults: spikes, dropouts and clipping.
+"""Mask the faults of a sensor: spikes, off-scale values and clipping. Count the samples at which it stands still.
 
-spike     1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
-dropout   a run of one value of a noisy sensor, entered and left by jumps;  or a value far outside all others
-clipping  a run of the record's extreme value while the input moves and the sensor is noisy elsewhere
+spike      1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
+off scale  a value far outside all others, as a laser reads without a target
+clipping   a run of the record's extreme value while the input moves and the sensor is noisy elsewhere
+standing   a run of another value while the input moves: kept, because it may be stiction
 
 step is the median of the record's steps |y_i - y_(i-1)| that are not zero, step_local the largest of the five steps
 about the samples in question with them cut out. White noise of deviation s has |y - chord| of deviation 1.2 s and a
@@ -20,12 +21,11 @@ from .initial_state import noise_std
 
 _FAR, _LONGEST_SPIKE = 10.0, 3
 _SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the input's range by which it must move in them
-_NOISY = 0.05  # noise as a fraction of a step, at least; fraction of equal neighbours, at most, to recognise a limit
 _NOISE_OF_STEP = 0.002  # noise of a good laser relative to the steps of its motion; rounding to six digits is below
 _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
 _JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the input, and of its range: a step of the input exceeds both
-_OFTEN = 0.1  # of a record: a value held for longer is a machine at rest, not a sensor dropout
-_FROZEN = 0.5  # of the input's range, swept at one output value: no motion is so slow
+_OFTEN = 0.1  # of a record: runs of one value that are more frequent are stiction, so the extreme value is not a limit
+_SWEPT = 0.5  # of the input's range, swept at one output value: no motion is so slow
 _FEWEST_VALUES = 32  # distinct ones; with fewer, a record is not a measured motion (two levels, a counter)
 
 
@@ -35,13 +35,12 @@ class Masked:
 
     Attributes:
         displacement: nan where masked, shape (T,).
-        outliers: samples masked as spikes or dropouts.
+        outliers: samples masked as spikes or off scale.
         clipped: samples masked at a limit value.
         largest: the most distant outlier, in the output's unit; nan without one.
         limit: the value at which it was clipped, or that of `unseen` samples; nan without one.
         unseen: off-scale samples that are kept, because they are more than half.
-        held: samples that repeat one value while the input moves and then jump. They are kept, because they may be
-            stiction.
+        held: samples that repeat one value while the input moves. They are kept, because they may be stiction.
         turns: whole turns removed earlier from the input and the output.
     """
 
@@ -56,7 +55,7 @@ class Masked:
 
 
 def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
-    """Mask spikes, dropouts and clipping.
+    """Mask spikes, off-scale values and clipping.
 
     Args:
         displacement: output, shape (T,); nan where missing.
@@ -74,11 +73,11 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     off_scale, jumps = _off_scale(y), _jumps(drive)
     # a response to a pulse looks like a spike, so only where the input did not step
     bad = off_scale | (_spikes(y, step) & ~jumps)
-    certain, held = _stuck(y, step, drive)
-    bad |= certain & ~jumps
-    # stiction holds a machine at its turning points too
-    clipped = _clipped(np.where(bad, np.nan, y), drive) & (held.mean() <= _OFTEN)
-    held = int((held & ~jumps & ~bad & ~clipped).sum())
+    runs, clipped = _still_runs(y, drive), np.zeros(len(y), dtype=bool)
+    # stiction holds a machine at its turning points too, where its extreme value is not a limit
+    if sum(end - begin for begin, end in runs) <= _OFTEN * len(y):
+        clipped = _clipped(np.where(bad, np.nan, y), drive)
+    held = int((_standing(y, step, drive, runs) & ~jumps & ~bad).sum())
     # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
         far = float(y[off_scale][0]) if off_scale.any() else np.nan
@@ -177,76 +176,59 @@ def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
     return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
 
 
-def _stuck(y: np.ndarray, step: float, drive: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return runs of one value under a moving input: dropouts, and runs that may be stiction.
+def _still_runs(y: np.ndarray, drive: np.ndarray) -> list[tuple[int, int]]:
+    """Return runs of one value while the input moves, without those of the largest and the smallest value."""
+    noise, ends = 6 * noise_std(drive), (y.min(), y.max())
+    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if b >= 3 and y[b] not in ends]
+    # a settled machine stands still until the input jumps at the end of a run, so the input must move early in it
+    return [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
 
-    A dropout is entered and left by jumps, or lasts for many samples, of a sensor whose neighbouring samples differ
-    everywhere else, at rest too. For any other sensor a held value followed by a jump may be stiction. Runs that
-    together exceed a tenth of the record may also be stiction, because a gear stands still at every reversal.
 
-    Returns:
-        dropouts, possible stiction: True at their samples, shape (T,).
+def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[int, int]]) -> np.ndarray:
+    """Return the runs that are a sensor dropout or stiction, shape (T,).
+
+    Noise would end a long run. A sensor without noise repeats values at a turning point: there, a run counts if it ends
+    with a jump, or if the input sweeps half of its range meanwhile.
     """
-    bad, kept, swing = np.zeros(len(y), dtype=bool), np.zeros(len(y), dtype=bool), np.ptp(drive)
-    runs = _runs(y, _LONGEST_SPIKE + 1)
-    if not runs:
-        return bad, kept
-    # when the input jumps at the end of a run, the settled machine responds late
-    noise = 6 * noise_std(drive)
-    runs = [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
-    inside = np.zeros(len(y) - 1, dtype=bool)
+    found = _inside(runs, len(y))
+    longest, swing = _longest_by_chance(y, found), np.ptp(drive)
     for begin, end in runs:
-        # steps within the runs do not characterise the sensor elsewhere
-        inside[begin : end - 1] = True
-    if inside.all():
-        return bad, kept
-    # a coarse sensor repeats values while it works: its runs are not dropouts
-    repeats = float(np.mean((y[1:] == y[:-1])[~inside])) >= _NOISY
-    quiet = _is_quiet(np.where(np.append(inside, False), np.nan, y), np.abs(np.diff(y))[np.diff(y) != 0])
-    low, high = y.min(), y.max()
-    often = sum(e - b for b, e in runs if y[b] not in (low, high)) > _OFTEN * len(y)
-    for begin, end in runs:
-        # a machine that moved before stands still while its input sweeps half of its range: the sensor is frozen
-        frozen = begin >= 3 and y[begin] not in (low, high) and np.ptp(drive[begin:end]) > _FROZEN * swing
-        kept[begin:end] = frozen and end - begin >= _SHORTEST_CLIP and (end == len(y) or end - begin > _OFTEN * len(y))
-        if begin < 3 or end > len(y) - 3 or end - begin > _OFTEN * len(y) or y[begin] in (low, high):
-            continue
-        # entered and left by jumps: far larger than the steps beside the run
-        before, after = y[begin - 3 : begin], y[end : end + 3]
-        local = max(np.abs(np.diff(before)).max(), np.abs(np.diff(after)).max(), step)
-        near, far = sorted((abs(before[-1] - y[begin]), abs(after[0] - y[begin])))
-        long = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _MOVES * swing
-        if often:
-            kept[begin:end] = True
-        elif repeats or quiet:
-            kept[begin:end] = long and far > _FAR * local
-        else:
-            bad[begin:end] = long or (far > _FAR * local and near > _FAR / 2 * local)
-    return bad, kept
+        sweeps = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _SWEPT * swing
+        around = np.abs(np.diff(y[begin - 3 : begin])), np.abs(np.diff(y[end : end + 3]))
+        jump = abs(y[min(end, len(y) - 1)] - y[begin]) > _FAR * max(step, *np.concatenate(around))
+        found[begin:end] = end - begin > longest or sweeps or jump
+    return found
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them.
-
-    p is how often neighbours are equal away from these runs (a record at its limit for most of the time has a median
-    step of zero); a run of n has the probability p^(n - 1), and counts if that is below 1e-6 in the record.
-    """
-    bad = np.zeros(len(y), dtype=bool)
+    """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them."""
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
     runs = [(b, e) for b, e in _runs(y, _SHORTEST_CLIP // 2) if y[b] in (low, high)]
     runs = [(b, e) for b, e in runs if np.ptp(voltage[b:e]) > _MOVES * swing]
+    # without any noise it is a stop, or a slow motion
+    longest = _longest_by_chance(y, _inside(runs, len(y)))
+    return _inside([(b, e) for b, e in runs if e - b > longest], len(y))
+
+
+def _inside(runs: list[tuple[int, int]], count: int) -> np.ndarray:
+    """Return True at the samples of these runs, shape (count,)."""
+    inside = np.zeros(count, dtype=bool)
     for begin, end in runs:
-        bad[begin:end] = True
-    steps = np.abs(np.diff(y))[~(bad[1:] & bad[:-1])]
-    moving = steps[steps > 0]
-    if not bad.any() or not len(moving):
-        return np.zeros_like(bad)
-    # how often neighbours are equal by chance
-    p = float(np.mean(steps == 0))
-    if p > 0.5 or _is_quiet(np.where(bad, np.nan, y), moving):
-        return np.zeros_like(bad)  # without any noise it is a stop, or a slow motion
-    # p^(n - 1) T < 1e-6, solved for n
-    least = 1 + np.log(_CHANCE / len(y)) / np.log(max(p, 1e-4))
-    for begin, end in runs:
-        bad[begin:end] = end - begin >= least
-    return bad
+        inside[begin:end] = True
+    return inside
+
+
+def _longest_by_chance(y: np.ndarray, apart: np.ndarray) -> float:
+    """Return the longest run of equal values that noise explains, in samples; infinite for a sensor without noise.
+
+    p is the probability that neighbours are equal: observed outside the runs `apart`, and at least q / (2 sqrt(pi) s)
+    for white noise s on a sensor of resolution q that stands still. A run of n has the probability p^(n - 1) and is
+    explained above 1e-6 in the record:  p^(n - 1) T > 1e-6.
+    """
+    steps = np.abs(np.diff(y))[~(apart[1:] & apart[:-1])]
+    moving, seen = steps[steps > 0], np.where(apart, np.nan, y)
+    # a record at its limit for most of the time has a median step of zero
+    if not len(moving) or _is_quiet(seen, moving):
+        return np.inf
+    p = max(float(np.mean(steps == 0)), float(moving.min()) / (2 * np.sqrt(np.pi) * noise_std(seen)), 1e-4)
+    return np.inf if p > 0.5 else 1 + np.log(_CHANCE / len(y)) / np.log(p)

@@ -265,7 +265,7 @@ def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
     memory = model.memory
     mass = ["second mass", "speed of the second mass"] if isinstance(memory, RingingMemory) else []
     lags = np.exp(np.asarray(memory.log_tau)) if isinstance(memory, FadingMemory | RingingMemory) else []
-    fading = [f"memory of {tau:.2g} s" for tau in lags]
+    fading = [f"memory with time constant {tau:.2g} s" for tau in lags]
     names = ["stroke", "speed", *(f"derivative {k}" for k in range(2, model.order))][: model.order]
     names += [*mass, *fading, *["memory"] * (memory.size - len(mass) - len(fading))]
     worst = [k for k in np.argsort(-beyond.max(0)) if beyond[:, k].max() > _SLACK][:2]

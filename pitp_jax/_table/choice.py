@@ -294,10 +294,15 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
 
     A DAQ channel comes last, because it may be a monitor of such a column.
     """
-    bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
+    bare = _bare(data, role)
     if any(s.role == role and not s.header.words & _DAQ for s in united):
         return [*united]
     return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
+
+
+def _bare(data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Return the columns with the name of a role and without a unit."""
+    return [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
@@ -430,7 +435,9 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     # an amplifier has two monitors: if the input is one, the output is one too
     daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
     for quantity, port in ports.items():
-        name = _said(seen, port) if len(pools[quantity]) != 1 else None
+        # a scale or a column for the other quantity makes columns without a unit candidates
+        rivals = [s for s in _bare(seen, _ROLE[quantity]) if s is not port and options.column(quantity) is None]
+        name = _said(seen, port) if len(pools[quantity]) != 1 or rivals else None
         words += _port_words(quantity, port, problems, options, daq, name)
     return _once(words) if set(ports) | {"time"} >= set(quantities) else []
 
@@ -494,11 +501,10 @@ def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
 
 def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, name: str | None) -> list[str]:
     stem, words = OPTIONS[quantity], []
-    if quantity in problems:
-        if problems[quantity].options:
-            words += problems[quantity].options
-        elif name is not None:
-            words += [f"--{stem}-column", name]
+    if quantity in problems and problems[quantity].options:
+        words += problems[quantity].options
+    elif name is not None:
+        words += [f"--{stem}-column", name]
     if options.scale(quantity) is None:
         volts = port.kind == "voltage" or (port.kind is None and not port.conflict and not port.unknown and daq)
         if port.kind is None and not port.conflict and options.unit(quantity) is None:

@@ -48,7 +48,7 @@ def test_info(call, tmp_path, identified):
     assert all(e > 0 for e in told["coefficients_stderr"])
     assert told["modes"][0]["natural_hz"] == pytest.approx(5, rel=1e-2)
     assert "identified on 1 recording (sweep)" in text
-    assert "hold foh" in text
+    assert "input linear between samples (hold foh)" in text
 
 
 def test_info_of_a_trained_model(call, tmp_path):

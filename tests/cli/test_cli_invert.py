@@ -59,7 +59,7 @@ def test_invert_writes_what_a_daq_plays(call, bench, tmp_path, quick_inverse):
     assert call(*start, plain)[0] == 0
     code, text, _ = call(*start, played, "--unit", "kV", "--input-scale", "0.5", "--rate", "1000")
     assert code == 0
-    assert "the target starts at 0.2 s of it (0 s of the target's own clock)" in text
+    assert "in this file the target starts at 0.2 s, which is 0 s in the target's file" in text
     (_, volts), (header, values) = columns_of(plain), columns_of(played)
     assert header == ["time_s", "voltage_kV", "target_mm", "infeasible", "saturated"]
     assert volts[0, 0] == values[0, 0] == 0

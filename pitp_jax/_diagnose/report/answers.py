@@ -8,7 +8,7 @@ from ..._report.html import tag
 from ..._report.numbers import figure, interval, of_range, percent
 from ..diagnosis import Diagnosis
 from .formatting import gathers, named, plain_words
-from .gap_figure import output_unit, outside_line, refitted, time_spent, worst
+from .gap_figure import output_unit, refitted, time_spent, worst
 from .which import fraction_closed, which
 
 NEXT_CSV = "next_experiment.csv"
@@ -41,12 +41,12 @@ def verdict_text(d: Diagnosis) -> str:
             else ""
         )
         return f"{what[:1].upper()}{what[1:]}. {_far(d)}{more}"
-    line = outside_line(d)
-    if line:
+    tone = d.where.get("tone")
+    if tone:
         return (
-            f"In every recording, at least {percent(line[1])} of the error is one oscillation at {figure(line[0])} "
-            "Hz, for every input. Something disturbs the rig from outside (vibration, electrical interference, a "
-            "supply)."
+            f"In every recording, at least {percent(tone['share'])} of the error is one oscillation at "
+            f"{figure(tone['hz'])} Hz, for every input. Something disturbs the rig from outside (vibration, electrical "
+            "interference, a supply)."
         )
     if (d.gap.closed_fraction or 0) < _HELPS:
         return (
@@ -94,7 +94,7 @@ def next_step(d: Diagnosis) -> str:
         return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
     if d.effects:
         return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."
-    if outside_line(d):
+    if d.where.get("tone"):
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
     return f"Next: check {worst(d).name}, which holds most of the gap, then record an input of another kind."
 

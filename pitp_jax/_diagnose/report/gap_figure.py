@@ -7,7 +7,6 @@ from ..._report.lines import ERROR, MEASURED, PREDICTED, finish, line, own_axes
 from ..._report.numbers import shown_unit
 from ..._table.units import OUTPUT_UNITS
 from ..diagnosis import Diagnosis
-from ..steady_tone import steady_tone
 from ..traces import Trace
 
 _CYCLES = 6  # oscillations in the zoom
@@ -91,14 +90,6 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
 def refitted(diagnosis: Diagnosis) -> bool:
     """Return whether the nominal's coefficients were refitted: its error differs from that of the given model."""
     return diagnosis.gap.before != diagnosis.gap.unrefitted
-
-
-def outside_line(diagnosis: Diagnosis) -> tuple[float, float] | None:
-    """Return a spectral line of the error in all recordings, whatever the input: (Hz, least fraction), or None."""
-    traces = diagnosis.traces
-    errors = [np.where(np.isfinite(t.measured), t.nominal - t.measured, 0.0) for t in traces]
-    intervals = [(t.time[-1] - t.time[0]) / (len(t.time) - 1) for t in traces]
-    return steady_tone(errors, [t.voltage for t in traces], intervals)
 
 
 def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
