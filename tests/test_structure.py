@@ -52,7 +52,7 @@ CONSTANT = np.full(4, 35.0)
         ([4.0, 5.0, 4.0, 5.0], [4.1, 4.9, 4.1, 4.9], [3.9, 5.1, 3.9, 5.1], "physical"),
         ([1.0, 1.0, 1.0, np.inf], [4.0, 4.5, 4.0, 4.5], [9.0, 9.0, 9.0, 9.0], "encoder"),
         ([1.0, 1.0, 1.0, 36.0], [4.0, 4.5, 4.0, 4.5], [9.0, 9.0, 9.0, 9.0], "encoder"),
-        ([np.inf] * 4, [np.inf] * 4, [np.inf] * 4, "physical"),
+        ([np.inf] * 4, [np.inf] * 4, [36.0] * 4, "encoder"),
     ],
 )
 def test_fewest_parameters_of_those_that_predict_as_well(physical, encoder, both, chosen):

@@ -77,10 +77,12 @@ def best_structure(
 
     Args:
         found: errors on the excitations left out, of the structures in the order of their parameters.
-        constant: errors of a constant; a structure with a larger one is only chosen if all have one.
+        constant: errors of a constant; a structure with a larger one is not chosen.
     """
     useful = [s for s, e in found.items() if (e < constant).all()]
-    logs = {s: np.log(np.clip(found[s], 1e-9, 1e9)) for s in useful or found}
+    if not useful:
+        return "encoder", "no structure predicts every excitation left out better than a constant"
+    logs = {s: np.log(np.maximum(found[s], 1e-9)) for s in useful}
     best = min(logs, key=lambda s: float(logs[s].mean()))
     chosen = best
     for s, log in logs.items():
@@ -127,7 +129,10 @@ def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training, 
     chosen, reason = best_structure(grouped, _by_excitation(still, folds.excitations))
     training = encoder
     if chosen != "encoder" and physical is not None:
-        training = _trained(chosen, how, physical, moving, began)
+        try:
+            training = _trained(chosen, how, physical, moving, began)
+        except (BadInput, ComputationFailed) as error:
+            chosen, reason = "encoder", f"{chosen} cannot be fitted to all recordings: {error}"
     means = {s: float(np.exp(np.mean(np.log(e)))) for s, e in grouped.items()}
     return Choice(chosen, reason, training, means, _held_out(training, moving, every[chosen]))
 

@@ -190,7 +190,8 @@ def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
     old, new = nominal.scales, model.scales
     # training has its own scales; an effect's parameters are stored in those of its model
     given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
-    effects = (*given, *(PARTS[part](begin) for part in settings.parts))
+    present = {e.name for e in given}  # a second delay beside the nominal's would leave both undetermined
+    effects = (*given, *(PARTS[part](begin) for part in settings.parts if part not in present))
     return replace(with_drive(model, settings), effects=effects)
 
 
