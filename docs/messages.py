@@ -34,7 +34,7 @@ TASKS = {
         "`pitp COMMAND --help` lists the options; [files and commands](contract.md) explains them.",
     ),
     "Check, identify and fit": (
-        ("_check", "_identify", "_train"),
+        ("_check", "_identify", "_train", "_structure"),
         "[Which recordings](which_recordings.md) shows what a model needs.",
     ),
     "Plan": (("_plan",), "[Which recordings](which_recordings.md) shows a plan."),

@@ -4,13 +4,14 @@
     cone100, roll  upper half of the protocol's frequencies from the lower half            nrmse, % of std
     silverbox      the whole arrow from the multisine                                      rms, mV
 
-    identified | fit (default) | diagnosed (effects, refitted) | fit on the diagnosed model | GRU | lumped model
+    identified | encoder (`fit`, default) | physical (effects, refitted) | both | auto | GRU | lumped model
 
-    python experiments/beyond_the_recordings.py [--data ../shared] [--cells 10] [--rows hasel7 cone100] [--every 4]
+    python experiments/beyond_the_recordings.py [--data ../shared] [--cells 10] [--rows hasel7] [--every 4] [--order 2]
 
 Every cell (row, model, seed) is added to `beyond_the_recordings.json` when it is done; one that is in this file already
-is skipped. `--left-out` scores every training recording by models of the others instead: the error by which a
-structure can be chosen without the recordings that the table reports. `--every 4` takes every fourth sample of a HASEL.
+is skipped. `--left-out` scores every training recording by models of the others instead. `--every 4` takes every fourth
+sample of a HASEL, `--order 2` fixes the order of the nominal model. `auto` is `fit --structure auto`; its cell also
+holds the errors on the excitations left out and the choice.
 """
 
 import argparse
@@ -26,11 +27,12 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax._demo.protocol import kind, measure
+from pitp_jax._structure.choice import Choice, Fitting, choose, impose
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-MODELS = ("identified", "fit", "diagnosed", "fit on diagnosed", "gru", "lumped")
-SEEDLESS = ("identified", "diagnosed")
+MODELS = ("identified", "encoder", "physical", "both", "auto", "gru", "lumped")
+SEEDLESS = ("identified", "physical")
 HASEL = {
     "hasel": (("steps", "sine_03Hz", "sine_07Hz"), ("sine_01Hz", "sine_11Hz")),
     "hasel7": (("steps", "sine_03Hz"), ("sine_07Hz",)),
@@ -57,21 +59,35 @@ def _thinned(record, every: int):
     return replace(record, **{f: getattr(record, f)[::every] for f in ("time", "voltage", "displacement")})
 
 
-def fitted(model: str, records: Sequence, row: str, seed: int, seconds: float) -> Callable:
-    """Fit one model and return its predictor: record -> displacement."""
+def fitted(model: str, records: Sequence, row: str, seed: int, options) -> tuple[Callable, dict]:
+    """Fit one model; return its predictor (record -> displacement) and what is known of its structure."""
     input_map = "linear" if row == "silverbox" else "square"
-    nominal, key = pitp.identify(records, input_map=input_map).model, jax.random.key(seed)
+
+    def identify(some: Sequence):
+        return pitp.identify(some, input_map=input_map, order=options.order).model
+
+    nominal, key = identify(records), jax.random.key(seed)
     if model in ("gru", "lumped"):
         from benchmarks.peers import lumped, recurrent
 
         if model == "gru":
-            return recurrent.fit(nominal, records, seconds, key, cell="gru")
-        return lumped.fit(nominal, records, seconds, key)
-    if "diagnosed" in model:
-        nominal = pitp.diagnose(nominal, records, refit_nominal=True, seconds=seconds).model
-    if model.startswith("fit"):
-        nominal = pitp.train(nominal, records, key=key).model
-    return lambda record: pitp.predict(nominal, [record])[0].displacement
+            return recurrent.fit(nominal, records, options.seconds, key, cell="gru"), {}
+        return lumped.fit(nominal, records, options.seconds, key), {}
+    known: dict = {"order": nominal.order}
+    if model != "identified":
+        how = Fitting(nominal, identify, pitp.Settings(), key)
+        made = _structured(model, how, records)
+        nominal = made.training.model
+        known |= {"structure": made.structure, "reason": made.reason, "left_out": made.errors,
+                  "effects": [e.name for e in nominal.effects]}  # fmt: skip
+    return lambda record: pitp.predict(nominal, [record])[0].displacement, known
+
+
+def _structured(model: str, how: Fitting, records: Sequence) -> Choice:
+    if model in ("physical", "both"):
+        return impose(model, how, records)
+    trained = pitp.train(how.nominal, records, key=how.key)
+    return choose(how, records, trained) if model == "auto" else Choice(model, "", trained)
 
 
 def error(predicted, record, row: str) -> float:
@@ -84,15 +100,15 @@ def error(predicted, record, row: str) -> float:
 def cell(row: str, model: str, seed: int, options) -> dict:
     """Return the errors of one cell by recording, and the seconds it took."""
     train, test = recordings(row, options)
-    began, errors = time.monotonic(), {}
+    began, errors, known = time.monotonic(), {}, {}
     if options.left_out:
         for k, record in enumerate(train):
-            run = fitted(model, train[:k] + train[k + 1 :], row, seed, options.seconds)
+            run, known = fitted(model, train[:k] + train[k + 1 :], row, seed, options)
             errors[record.name] = error(run(record), record, row)
     else:
-        run = fitted(model, train, row, seed, options.seconds)
+        run, known = fitted(model, train, row, seed, options)
         errors = {record.name: error(run(record), record, row) for record in test}
-    return {"errors": errors, "seconds": round(time.monotonic() - began)}
+    return {"errors": errors, "seconds": round(time.monotonic() - began), **known}
 
 
 def table(done: dict) -> str:
@@ -118,7 +134,8 @@ def main(argv=None):
     parser.add_argument("--models", nargs="+", choices=MODELS, default=MODELS)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--cells", type=int, default=1000, help="how many more")
-    parser.add_argument("--seconds", type=float, default=600.0, help="of a diagnosis or a peer")
+    parser.add_argument("--seconds", type=float, default=600.0, help="of a peer")
+    parser.add_argument("--order", default="auto", type=lambda n: n if n == "auto" else int(n), help="of the nominal")
     parser.add_argument("--every", type=int, default=1, help="take every so many samples of a HASEL")
     parser.add_argument("--left-out", action="store_true", help="score training recordings by models of the others")
     parser.add_argument("--out", type=Path, default=HERE, help="folder of the results")

@@ -2,7 +2,7 @@
 
     x'' + 2 zeta w x' + w^2 (x + h x^3) = w^2 u^2,   limit = 0.6 to 1.2 of the largest stroke of all files
 
-    python experiments/planned_strokes.py [--actuators 20]
+    python experiments/planned_strokes.py [--actuators 20] [--seed 0]
 
 A first session is played in its order: a file only if the largest stroke so far is below what the plan asks for. A
 linear model is identified on the files that were played, and a plan with this model and its default rest is played the
@@ -83,14 +83,15 @@ def main(smoke: bool = False, argv=None):
     """All actuators, then the table and its sums."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--actuators", type=int, default=20)
+    parser.add_argument("--seed", type=int, default=0, help="of the first actuator")
     options = parser.parse_args([] if smoke and argv is None else argv)
-    cells = [one(seed, 40.0) for seed in range(1 if smoke else options.actuators)]
+    cells = [one(options.seed + k, 40.0) for k in range(1 if smoke else options.actuators)]
     rows = []
     for seed, (hz, zeta, hard, limit, first, second, near) in enumerate(cells):
         said = [f"{c['harmless allowed']} of {c['harmless']}" for c in (first, second)]
         worst = first["worst"], second["worst"]
         within = f"{sum(e <= 0.1 for e in near)} of {len(near)}"
-        rows.append((str(seed), hz, zeta, hard, limit, said[0], worst[0], said[1], worst[1], within))
+        rows.append((str(options.seed + seed), hz, zeta, hard, limit, said[0], worst[0], said[1], worst[1], within))
     header = (
         "actuator", "Hz", "zeta", "hardening", "limit (mm)", "first: harmless allowed", "first: worst / limit",
         "model: harmless allowed", "model: worst / limit", "printed stroke within 10 %",

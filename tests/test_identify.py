@@ -1,5 +1,8 @@
 """Planted linear systems come back from noisy sweeps, within their own standard errors."""
 
+from importlib import import_module
+from pathlib import Path
+
 import numpy as np
 import pytest
 from effort import calls
@@ -7,6 +10,7 @@ from scipy.signal import chirp, cont2discrete, lfilter, lsim
 from typed import of_kind, some
 
 from pitp_jax import BadInput, ComputationFailed, Record, predict
+from pitp_jax._commands.identify import delay_text
 from pitp_jax._identify.beginnings import find_beginnings
 from pitp_jax._identify.candidates import choose
 from pitp_jax._identify.heldout import Candidate, HeldOut
@@ -173,6 +177,20 @@ def test_a_planted_delay_comes_back(coefficients, samples):
     assert float(found.model.effects[0].time) == pytest.approx(found.chosen.delay)
     with pytest.raises(BadInput, match="'mass' cannot be learned"):
         identify([record], learn=("mass",))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("seed", "linear"), [(402, True), (403, True), (403, False)])
+def test_a_delay_is_as_sure_as_stated_or_the_models_error_is_named(monkeypatch, seed, linear):
+    """Another simulation (RK4). A hardening spring shifts the delay by 16 of its standard errors, which a line says."""
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[1] / "experiments"))
+    script, plants = import_module("learned_delay"), import_module("_hardening")
+    plant, rng = script.drawn(seed, linear=linear)
+    found = identify([plants.record(plant, "sweep", plants.sweep(), rng)], order=2, learn=("delay",))
+    off = abs(found.chosen.delay - plant.delay) / found.chosen.delay_stderr
+    warned = "can shift the delay by more" in delay_text(found)
+    assert found.chosen.delay_stderr < 0.1 * plants.DT
+    assert (off < 3 and not warned) if linear else warned
 
 
 @pytest.mark.slow

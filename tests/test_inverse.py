@@ -12,6 +12,7 @@ from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 import pitp_jax as pitp
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
 from pitp_jax._invert.equation import invert_path
+from pitp_jax._invert.target import last_digit, without_rounding
 from pitp_jax._model import LinearInput
 from pitp_jax._model.coordinate import Zero
 from pitp_jax._numerics.spline_derivative import derivatives
@@ -203,6 +204,36 @@ def test_a_fast_lag_beside_the_resonance_shortens_no_way_out(linear, bounded):
     x = np.asarray(rollout(model, jnp.asarray(still, jnp.float32), DT, rest_state(model))[:, 0])
     swings = 0.25 * 3.0 / 5.0  # mm: v / w of the target's end, on a resonance of 5 Hz
     assert np.abs(x[-400:]).max() < swings * np.exp(-0.1 * 2 * np.pi * 3)
+
+
+@pytest.mark.parametrize(("order", "rate"), [(2, 10_000), (3, 1000)])
+def test_a_rounded_file_is_planned_as_the_motion_that_it_holds(linear, bounded, order, rate):
+    """Its last digit, differentiated, is thousands of volts: at the first sample, and as a push at every second one."""
+    model, time = bounded(linear(order, dt=1 / rate), 0.0, 4000.0, 1e6), np.arange(rate) / rate
+    wanted = 5e-4 * (1 - np.cos(np.pi * time))
+    found = feedforward(model, Target(time, np.round(wanted, 9)), shots=0)
+    a, w = model.physical_coefficients, np.pi
+    force = a[0] * 5e-4 - 5e-4 * np.real(np.polyval(a[::-1], 1j * w) * np.exp(1j * w * time))
+    assert np.sqrt(force[0]) < 100 and force.min() > 0
+    np.testing.assert_allclose(found.voltage[found.target][1:], np.sqrt(force)[1:], atol=5)
+    assert not found.infeasible.any()
+    assert not any("first sample needs" in line or "not smooth" in line for line in found.warnings)
+    rough = derivatives(np.round(wanted, 9), 1 / rate, order) @ a
+    assert (rough[:100] < 0).mean() > 0.2
+
+
+def test_a_target_stays_within_its_last_digit_and_unchanged_without_one():
+    wanted = swing(1e-3, 5e-4, 2.0)
+    rounded = Target(TIME, np.round(1e3 * wanted, 4) / 1e3, "mm")
+    assert last_digit(rounded) == pytest.approx(1e-7)
+    smooth = without_rounding(rounded, 5).displacement
+    assert np.abs(smooth - rounded.displacement).max() <= 1e-7
+    rate, truth = np.diff(smooth, 2) / DT**2, -5e-4 * (4 * np.pi) ** 2 * np.sin(4 * np.pi * TIME[1:-1])
+    assert np.abs(rate - truth).max() < 0.05 * np.abs(truth).max()
+    exact = Target(TIME, wanted)
+    assert last_digit(exact) == 0 and without_rounding(exact, 5) is exact
+    steps = 1e-4 * np.abs(np.arange(SAMPLES) % 20 - 10)  # ten steps of the range are the user's choice
+    assert last_digit(Target(TIME, steps)) == 0
 
 
 @pytest.mark.parametrize("samples", [2, 3, 5])

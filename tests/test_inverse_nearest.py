@@ -17,7 +17,8 @@ from pitp_jax._invert import change_programme
 from pitp_jax._invert.change_programme import _Cut, _readings
 from pitp_jax._invert.feedforward_plan import feedforward
 from pitp_jax._invert.limits import travel
-from pitp_jax._invert.nearest_motion import Wish, _play
+from pitp_jax._invert.nearest_motion import Wish
+from pitp_jax._invert.self_check import play
 from pitp_jax._invert.stage_qp import StageQP, solve_stage_qp
 from pitp_jax._model.drive import ElectrodeLag
 from pitp_jax._model.input_map import LinearInput
@@ -93,9 +94,9 @@ def test_a_small_change_of_the_voltage_does_what_the_stages_say(nonlinear, doubl
         )
         knots = np.append(0.0, np.random.default_rng(3).standard_normal(stages))
         change = np.interp(np.arange(count) / length, np.arange(stages + 1), knots)
-        moved = [_play(model, wish, u + sign * 0.05 * change).reading for sign in (1, -1)]
+        moved = [play(model, u + sign * 0.05 * change, DT, wish.start).reading for sign in (1, -1)]
         truth = (moved[0] - moved[1]) / (0.1 / wish.unit)
-        onward, reading = _readings(model, wish, _play(model, wish, u), _Cut(stages, length), late)
+        onward, reading = _readings(model, wish, play(model, u, DT, wish.start), _Cut(stages, length), late)
         z, found = np.zeros(onward.shape[-1]), []
         for k in range(stages):
             z[-1] = (knots[k + 1] - knots[k]) / length
@@ -172,7 +173,7 @@ def test_a_single_time_constant_under_a_limit_is_the_least_squares_of_scipy(line
 @pytest.mark.parametrize("kind", ["hump", "swing"])
 def test_where_no_limit_bites_it_is_eq_13_and_shooting(linear, bounded, monkeypatch, kind):
     """The nearest motion is not asked; of a model that rests at 0 V, as the first sample asks."""
-    monkeypatch.setattr("pitp_jax._invert.course.nearest_motion", None)
+    monkeypatch.setattr("pitp_jax._invert.voltage.nearest_motion", None)
     model = bounded(linear(2), 0.0, 4000.0, 1e9)
     target = hump() if kind == "hump" else Target(TIME, swing(1e-3, 3e-4, 2.0))
     found = feedforward(model, target)

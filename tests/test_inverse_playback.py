@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from pitp_jax import BadInput, Feedforward, Target, feedforward
+from pitp_jax._invert.lead_in import led_in
 from pitp_jax._invert.limits import Limits
-from pitp_jax._invert.playback import at_faster_rate, at_slower_rate
-from pitp_jax._invert.target_path import at_rate_of_model, extend
+from pitp_jax._invert.motion import wanted_motion
+from pitp_jax._invert.playback import at_faster_rate
+from pitp_jax._invert.target import at_rate_of_model, at_slower_rate
 
 TIME = -0.3 + 1e-3 * np.arange(1301)
 
@@ -71,7 +73,8 @@ def test_the_plan_of_way_points_is_that_of_their_spline(linear):
 def test_the_way_to_a_held_displacement_asks_no_more_than_that_does(linear, order, damping):
     """The force of the ODE on the way in, by difference quotients, lies between 0 and the force at its end."""
     model, dt = linear(order, damping=damping), 1e-3
-    path = extend(np.full(800, 1e-3), dt, model, Limits(0.0, 1e4, 1e9))
+    target = Target(dt * np.arange(800), np.full(800, 1e-3))
+    path = led_in(wanted_motion(model, target, target), Limits(0.0, 1e4, 1e9))
     lead = path.displacement[: path.target.start + 20]
     force, state = np.zeros_like(lead), lead
     for a in np.asarray(model.physical_coefficients):

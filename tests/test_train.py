@@ -24,7 +24,7 @@ from pitp_jax._simulate.prediction import at_rate, predict
 from pitp_jax._train import training
 from pitp_jax._train.cross_validation import cross_validate
 from pitp_jax._train.refine import refine
-from pitp_jax._train.settings import PRESETS, Settings, firmness_of
+from pitp_jax._train.settings import PRESETS, Settings, firmness_of, with_parts
 from pitp_jax._train.training import train
 
 DT, SAMPLES = 2e-3, 1000
@@ -116,6 +116,13 @@ def test_an_unknown_word_is_refused(word):
 def test_an_unknown_part_is_refused():
     with pytest.raises(BadInput, match="part 'typo'"):
         Settings(parts=("typo",))
+
+
+def test_a_delay_of_the_nominal_is_learned_and_no_second_one(linear):
+    nominal = replace(linear(2), effects=(effect("delay", time=0.006),))
+    started = with_parts(linear(2), nominal, Settings(parts=("delay", "sensor_lag"), drive="direct"))
+    assert [e.name for e in started.effects] == ["delay", "sensor_lag"]
+    assert float(started.effects[0].time) == pytest.approx(0.006)
 
 
 @pytest.mark.slow

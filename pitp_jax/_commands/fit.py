@@ -14,6 +14,7 @@ from .._record.record import Record
 from .._record.writing import write_text_atomic
 from .._report.description import describe, fallback_line, in_words, sensor_line
 from .._simulate.prediction import predict
+from .._structure.choice import STRUCTURES, Choice, Fitting, choose, impose
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.cross_validation import with_left_out
 from .._train.settings import preset_of
@@ -28,8 +29,9 @@ from .reports import listed, print_history
 
 
 def fit(
-    records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None
-) -> int:
+    records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None,
+    structure="encoder",
+) -> int:  # fmt: skip
     """Train, write the model file, and print the history and the error of every record.
 
     Args:
@@ -45,6 +47,7 @@ def fit(
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
         cross_validate: whether every record is also predicted by a model trained on the others.
         json_file: where to write the errors as JSON, or None.
+        structure: "encoder", "physical", "both", or "auto", which compares them on excitations left out.
 
     Returns:
         3 if the model explains nothing of the output, otherwise 0.
@@ -53,6 +56,8 @@ def fit(
         BadInput, ComputationFailed: with nothing written.
         KeyboardInterrupt: interrupted; the best complete model is written if a stage was complete.
     """
+    if preset == "paper" and structure != "encoder":
+        raise BadInput("--structure needs --preset default; leave one of them out")
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
@@ -68,8 +73,11 @@ def fit(
     check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
-    done = train(start, read_in, **how, progress=ProgressBar().update)
-    save(out, done.model)
+    anew = (lambda _: given) if given else (lambda some: identified(some).model)
+    fitting = Fitting(start, anew, **how, progress=ProgressBar().update, say=say)
+    chosen = _structured(structure, fitting, read_in, cross_validate)
+    done, held_out = chosen.training, chosen.held_out
+    save(out, with_left_out(done.model, held_out) if held_out else done.model)
     if report is not None:
         _report(done.model, read_in, report, out)
     if done.interrupted:
@@ -82,26 +90,44 @@ def fit(
     if line := fallback_line(done.notes):
         print(line)
     print(f"trained a model of order {summary['order']} on {listed(names)} in {seconds} s")
+    if structure != "encoder":
+        print(_structure_line(chosen))
     print(sensor_line(done.model))
     for line in done.notes.get("left_out", ()):
         print(line)
     print_history(done.history)
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
-    held_out = ()
-    if cross_validate:
+    if cross_validate and chosen.structure == "encoder":
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
-        anew = given or (lambda some: identified(some).model)
-        held_out = run_cross_validate(anew, read_in, done.model, progress=ProgressBar().update, **how)
+        held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressBar().update, **how)
         save(out, with_left_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
     summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback,
-               "warning": warning}  # fmt: skip
+               "warning": warning, "structure": chosen.structure, "reason": chosen.reason,
+               "structure_errors": chosen.errors or None}  # fmt: skip
     write_json(json_file, summary)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
     return 0 if explains else 3
+
+
+def _structured(structure: str, fitting: Fitting, records: Sequence[Record], cross_validate: bool) -> Choice:
+    """Fit the records with the given structure, or with the one that "auto" chooses."""
+    if structure in ("physical", "both"):
+        return impose(structure, fitting, records, cross_validate)
+    done = train(fitting.nominal, records, settings=fitting.settings, key=fitting.key, progress=fitting.progress)
+    if structure == "encoder" or done.interrupted:
+        return Choice("encoder", "given by --structure" if structure == "encoder" else "interrupted", done)
+    return choose(fitting, records, done)
+
+
+def _structure_line(chosen: Choice) -> str:
+    """Return the chosen structure, its reason and the errors of all three."""
+    errors = ", ".join(f"{s} {number(chosen.errors[s], 3)} %" for s in STRUCTURES if s in chosen.errors)
+    beside = f"; e_rms on them in % of range: {errors}" if errors else ""
+    return f"structure: {chosen.structure} ({chosen.reason}{beside})"
 
 
 def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:

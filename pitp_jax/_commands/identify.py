@@ -14,6 +14,8 @@ from .predict import score
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
+_MODEL_ERROR = 3.0  # times the noise: beyond it, nine tenths of the residual's energy come from the model
+
 
 def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> int:
     """Identify, write the model file, and print the comparison of orders.
@@ -95,4 +97,8 @@ def delay_text(identified) -> str:
     else:
         own, other, word = "linear between samples", delay - half, "held"
     text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
-    return f"{text} ({number(other, 3)} ms if the input is {word} between samples)"
+    text = f"{text} ({number(other, 3)} ms if the input is {word} between samples)"
+    misfit = identified.model.origin.misfit
+    if _MODEL_ERROR < misfit < float("inf"):
+        text += f"; the linear model's error is {number(misfit, 2)} times the noise and can shift the delay by more"
+    return text

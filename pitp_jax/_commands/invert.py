@@ -4,8 +4,8 @@ import numpy as np
 
 from .._errors import BadInput
 from .._invert.feedforward_plan import Feedforward, feedforward
-from .._invert.playback import at_faster_rate, at_slower_rate
-from .._invert.target_path import at_rate_of_model
+from .._invert.playback import at_faster_rate
+from .._invert.target import at_rate_of_model, at_slower_rate
 from .._model.coordinate import Zero
 from .._model.coverage import WORTH_A_LINE
 from .._model.expected_error import expected_error
@@ -68,28 +68,37 @@ def invert(
     planned = at_faster_rate(feedforward(loaded, slower if asked else wanted, resample=not asked, **limits), rate)
     for warning in planned.warnings:
         say(f"warning: {' '.join(warning.split())}")
-    result = {
+    with staged(file=out, json_file=json_file, value=_counts(planned)) as stage:
+        write_csv(stage, _columns(planned, played, length, input_scale))
+    _summarise(planned, out, played, input_scale)
+    _expect(loaded, planned)
+    if planned.limits:
+        print(f"limits: {planned.limits}")
+
+
+def _counts(planned: Feedforward) -> dict:
+    """Return the values of the JSON file."""
+    own = np.flatnonzero(planned.target)
+    return {
         "samples": len(planned.time),
         "infeasible": int(planned.infeasible.sum()),
         "saturated": int(planned.saturated.sum()),
-        "target_start_s": float(planned.time[np.flatnonzero(planned.target)[0]] - planned.time[0]),
-        "target_end_s": float(planned.time[np.flatnonzero(planned.target)[-1]] - planned.time[0]),
+        "target_start_s": float(planned.time[own[0]] - planned.time[0]),
+        "target_end_s": float(planned.time[own[-1]] - planned.time[0]),
         "outside_training_share": float(planned.outside_training_share),
         "self_check_e_rms_percent": float(planned.self_check_e_rms_percent),
     }
-    columns = {
+
+
+def _columns(planned: Feedforward, played: Quantity, length: str, input_scale: float) -> dict[str, np.ndarray]:
+    """Return the columns of the file: the input divided by the amplifier's gain, the target in its own unit."""
+    return {
         "time_s": planned.time - planned.time[0],
         column_name("voltage", played.unit): played.shown(planned.voltage) / input_scale,
         f"target_{length.replace(' ', '')}": from_base(planned.wanted, length),
         "infeasible": planned.infeasible,
         "saturated": planned.saturated,
     }
-    with staged(file=out, json_file=json_file, value=result) as stage:
-        write_csv(stage, columns)
-    _summarise(planned, out, played, input_scale)
-    _expect(loaded, planned)
-    if planned.limits:
-        print(f"limits: {planned.limits}")
 
 
 def _unit_to_write(unit: str | None, units: Units) -> Quantity:

@@ -219,28 +219,14 @@ def diagnose(
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
     devices = tuple(mesh.devices.flat) if mesh is not None else ()
-    found = _searched(model, records, refit_nominal, exclude, limit, devices)
-    early, best = 0.0, found.search.best()
-    if SHIFT.name in best.names and not found.interrupted:
-        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
-            early = best.fit.value(EARLY)
-            notes, records = (remark(early, records[0].dt), *notes), put_back(records, early)
-        exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
-        found = _searched(model, records, refit_nominal, exclude, limit, devices)
+    found, early, records = _searched_without_shift(model, records, refit_nominal, exclude, limit, devices)
+    if early:
+        notes = (remark(early, records[0].dt), *notes)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
     limit.begin("judging the best set")
-    decision = decide(search, own, noise, distinct)
-    handed, made, names_back = hand_back(search, decision, model, records, before)
-    why, ranges = "", spans(search)
-    if not set(decision.said) <= set(handed.labels):
-        why = _NO_BETTER
-    elif percent(handed.evidence, ranges) > (1 - rules.GAIN) * percent(search.base.evidence, ranges):
-        why = _DISAGREE
-    if decision.said and why:
-        decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
-        handed, made, names_back = hand_back(search, decision, model, records, before)
+    decision, (handed, made, names_back) = _judged(search, decide(search, own, noise, distinct), model, records, before)
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
@@ -296,7 +282,7 @@ def diagnose(
         equivalent=equivalent,
         added=added_of(search, made[0], made[1], handed.fit, errors) + _moved(search, handed, errors),
         gap=gap,
-        ranking=ranking_of(search, floor_percent(ranges, own)),
+        ranking=ranking_of(search, floor_percent(spans(search), own)),
         where=where,
         next_experiment=experiment,
         fitted=names,
@@ -318,6 +304,39 @@ def diagnose(
         clock_shift=early,
         interrupted=interrupted,
     )
+
+
+def _searched_without_shift(
+    model: Model, records: Sequence[Record], refit: bool, exclude: Sequence[str], limit: Budget, devices
+) -> tuple["_Searched", float, Sequence[Record]]:
+    """Search, and if an early output is certain, remove it from the records and search again.
+
+    Returns:
+        the search, the time (s) by which the output was early, and the records without it.
+    """
+    found = _searched(model, records, refit, exclude, limit, devices)
+    early, best = 0.0, found.search.best()
+    if SHIFT.name in best.names and not found.interrupted:
+        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
+            early = best.fit.value(EARLY)
+            records = put_back(records, early)
+        exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
+        found = _searched(model, records, refit, exclude, limit, devices)
+    return found, early, records
+
+
+def _judged(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
+    """Return the decision and what is handed back; no effect is reported whose model is not handed back."""
+    handed = hand_back(search, decision, model, records, before)
+    why, ranges = "", spans(search)
+    if not set(decision.said) <= set(handed[0].labels):
+        why = _NO_BETTER
+    elif percent(handed[0].evidence, ranges) > (1 - rules.GAIN) * percent(search.base.evidence, ranges):
+        why = _DISAGREE
+    if decision.said and why:
+        decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
+        handed = hand_back(search, decision, model, records, before)
+    return decision, handed
 
 
 @dataclass(frozen=True)

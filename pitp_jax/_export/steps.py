@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 
 from .._effects.effect import Effect
 from .._effects.kernels import shifted
-from .._invert.realtime import film_after, film_held, memory_after
+from .._invert.one_sample import film_after, film_held, memory_after
 from .._model.coordinate import from_model, to_model
 from .._model.model import Model
 from .._numerics.intersample import weights

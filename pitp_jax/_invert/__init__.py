@@ -10,11 +10,11 @@ from .discrete import discrete_inverse as discrete_inverse
 from .feedforward_plan import Feedforward as Feedforward
 from .feedforward_plan import feedforward as feedforward
 from .inverse import inverse as inverse
-from .motion import memory_along as memory_along
-from .motion import tokens_along as tokens_along
 from .pi_control import pi_trim as pi_trim
 from .realtime import CompiledStep as CompiledStep
 from .realtime import decoder_step as decoder_step
 from .realtime import inverse_step as inverse_step
 from .realtime import restore_step as restore_step
 from .stream import invert_stream as invert_stream
+from .tokens import memory_along as memory_along
+from .tokens import tokens_along as tokens_along

@@ -4,20 +4,87 @@ Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Ga
 x) / range; the smallest width s without a remaining corner is reported with that error.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 from .._metrics import e_rms_percent
+from .._model.coverage import target_words
+from .._model.fitted import Fitted
 from .._model.model import Model
+from .._record.excited import Beyond
 from .._record.reading import Target
+from .._simulate.prediction import outside_words
 from .._table.quantity import Units
 from .limits import Limits
-from .target_path import Path
+from .motion import Motion
+from .self_check import Checked, Played
+from .voltage import Planned
 
 _JUMP = 0.3  # a change of x^(n-1) in one sample by this fraction of its range is a corner
 _WORTH_A_LINE = 0.01  # fraction of the target
 _FAR = 0.1  # of the largest voltage: a target that starts beyond it is reported
 _WIDTHS = 12  # doublings of the rounding, from one sample on
+
+
+@dataclass(frozen=True)
+class Found:
+    """The values of all stages of a feedforward.
+
+    Attributes:
+        fitted: the given model.
+        given, sampled: the target as given, and on the model's clock.
+        motion, limits: with the lead-in.
+        cut, best: eq. 13 clipped at the limits, and the voltage to play.
+        checked: its self-check.
+        outside: fraction of the target's samples outside the trained region.
+        unseen: its energy at frequencies and amplitudes that the model was not trained with.
+    """
+
+    fitted: Fitted
+    given: Target
+    sampled: Target
+    motion: Motion
+    limits: Limits
+    cut: Planned
+    best: Played
+    checked: Checked
+    outside: float
+    unseen: Beyond
+
+
+def advice(found: Found) -> tuple[str, ...]:
+    """Return all warnings about a target and its plan, in the order of the stages."""
+    motion, limits, units = found.motion, found.limits, found.limits.units
+    own, checked = motion.target, found.checked
+    lines = ()
+    if found.sampled is not found.given:
+        lines += (
+            f"the target is sampled every {found.given.dt:.4g} s, coarser than the model's {found.fitted.model.dt:.4g} "
+            "s, and was interpolated by a cubic spline",
+        )
+    lines += on_target(motion, units)
+    if any(e.name == "stiffness_drift" for e in motion.model.effects):
+        lines += (
+            f"the stiffness drifts, so this voltage is for {motion.age:.4g} s after the start of the session (the "
+            "target's clock)",
+        )
+    if found.outside > _WORTH_A_LINE:
+        lines += (
+            f"{100 * found.outside:.0f} % of the target lies outside the trained region: "
+            f"{outside_words(motion.model, found.cut.features[own], found.sampled.time)}; expect larger errors there",
+        )
+    lines += tuple(filter(None, [target_words(found.fitted, found.unseen)]))
+    lines += on_start(float(found.best.voltage[own.start]), own.start * motion.dt, limits)
+    lines += on_reach(found.cut.infeasible[own].mean(), found.cut.saturated[own].mean(), limits)
+    lines += on_stroke(motion.wanted, checked.stroke, limits)
+    if np.isnan(checked.percent):
+        lines += (
+            "the target is constant, so there is no error in % of range; the model's motion differs from it by "
+            f"{units.output.text(checked.missed, 2)}",
+        )
+    return lines + on_smoothing(motion, checked, units)
 
 
 def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
@@ -41,28 +108,29 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
     return None
 
 
-def on_target(model: Model, target: Target, wanted: np.ndarray, path: Path, units: Units) -> tuple[str, ...]:
+def on_target(motion: Motion, units: Units) -> tuple[str, ...]:
     """Return warnings about a target before it is planned."""
-    warnings = ()
-    if target.dt > 1.01 * model.dt:
+    model, warnings = motion.model, ()
+    if motion.dt > 1.01 * model.dt:
         warnings += (
-            f"the target is sampled every {target.dt:g} s, coarser than the model's {model.dt:g} s: "
+            f"the target is sampled every {motion.dt:g} s, coarser than the model's {model.dt:g} s: "
             "resample it to a higher rate to keep its shape between samples",
         )
-    rough = roughness(wanted, target.dt, model)
+    smooth = motion.displacement[motion.target]
+    rough = roughness(smooth, motion.dt, model)
     if rough > 0:
-        cost = rounding(wanted, target.dt, model)
+        cost = rounding(smooth, motion.dt, model)
         how = "" if cost is None else f" (a Gaussian of {1e3 * cost[0]:.3g} ms changes it by {cost[1]:.2g} % of range)"
         warnings += (
             f"{100 * rough:.2g} % of the target is not smooth enough (derivative {model.order - 1} jumps): "
             f"round the corners or filter it{how}",
         )
-    if not path.slew_kept:
+    if not motion.slew_kept:
         warnings += (
             "the slew limit does not allow the target's initial state, so its start is cut off; let the "
             "target start at rest",
         )
-    if not path.reached:
+    if not motion.reached:
         warnings += (
             f"no {units.input_word} within the limits moves the actuator into the target's initial state, so the "
             f"motion starts with an error; let the target start at rest, or raise {units.max_input}",
@@ -81,15 +149,13 @@ def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
     )
 
 
-def on_smoothing(
-    model: Model, wanted: np.ndarray, dt: float, percent: float, missed: float, units: Units
-) -> tuple[str, ...]:
-    """Return a line on the smoothing of a target with corners or noise; `missed`: rms, base unit."""
-    if roughness(wanted, dt, model) == 0 or not percent > 0:
+def on_smoothing(motion: Motion, checked: Checked, units: Units) -> tuple[str, ...]:
+    """Return a line on the smoothing of a target with corners or noise."""
+    if roughness(motion.displacement[motion.target], motion.dt, motion.model) == 0 or not checked.percent > 0:
         return ()
     return (
         f"the target's corners and noise are smoothed: the model's motion differs from the target by "
-        f"{units.output.text(missed, 2)} (rms), {percent:.2g} % of its range",
+        f"{units.output.text(checked.missed, 2)} (rms), {checked.percent:.2g} % of its range",
     )
 
 

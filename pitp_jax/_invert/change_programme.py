@@ -17,6 +17,7 @@ from .._model.model import Model
 from .._simulate import ports
 from .._simulate.prediction import FAR
 from .linearised import linearise
+from .self_check import Played
 from .stage_qp import StageQP, solve_stage_qp
 
 _STAGES = 4000  # about, as long as a stage is shorter than the resonance's period
@@ -56,15 +57,6 @@ class Wish:
     def unit(self) -> float:
         """Return the range U of the voltages, V."""
         return float(self.high.max() - self.low.min())
-
-
-@dataclass(frozen=True)
-class Played:
-    """A voltage (V), the scaled states of its rollout, and its reading (m)."""
-
-    voltage: np.ndarray
-    states: np.ndarray
-    reading: np.ndarray
 
 
 def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) -> np.ndarray:

@@ -1,37 +1,36 @@
 """Feedforward: the voltage with which the model follows a target, by eq. 13 and shooting, or the nearest motion.
 
-    u = inverse(target), corrected by the rollout's error   where no limit is active
-    min |target - rollout(u)|^2 over the u within the limits        otherwise                  (`course`)
+    target -> motion on its clock -> lead-in within the limits -> voltage -> self-check
 
-The voltage rises smoothly from zero volts (or from the voltage that holds the actuator) and returns there exactly.
-Every limit is kept; the part of the target beyond them is reported.
+Each stage is a function from one value to the next, in the file of that name. The voltage rises smoothly from zero
+volts (or from the voltage that holds the actuator) and returns there exactly. Every limit is kept; the part of the
+target beyond them is reported.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import jax.numpy as jnp
 import numpy as np
 
 from .._errors import BadInput, refuse_traced
-from .._model.coordinate import Zero, to_model
-from .._model.coverage import target_beyond, target_words
+from .._model.coordinate import Zero
+from .._model.coverage import target_beyond
 from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model
 from .._model.units import units_of
 from .._record.reading import Target
 from .._record.record import Record
 from .._shown import Shown
-from .._simulate.batched_rollout import fast_rollout
-from .._simulate.decoder import rest_state, still_state
-from .._simulate.prediction import at_rate, outside_fraction, outside_words
-from .advice import on_reach, on_smoothing, on_start, on_stroke, on_target
-from .course import Course
-from .limits import limits_of
-from .target_path import at_rate_of_model, extend, settling
+from .._simulate.prediction import outside_fraction
+from .advice import Found, advice
+from .lead_in import led_in
+from .limits import Limits, limits_of
+from .motion import Motion, wanted_motion
+from .self_check import check
+from .target import at_rate_of_model, without_rounding
+from .voltage import best_voltage, equation_voltage
 
 _SHOTS = 6
 _MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage can reach: of the target, and of its negative
-_WAITS = 100_000  # samples until a machine stands still
 
 
 @dataclass(frozen=True, repr=False)
@@ -110,81 +109,52 @@ def feedforward(
         raise BadInput(f"a {type(target).__name__} is not a target; give pitp.Target(time, displacement)")
     refuse_traced("feedforward", "inverse", model)
     fitted, units = fitted_of(model), units_of(model)
-    model = fitted.model
-    limits, warnings = limits_of(model, max_voltage, max_slew, max_displacement, start_input, units)
-    given = target
-    if resample:
-        target = at_rate_of_model(target, model.dt)
-    if target is not given:
-        warnings += (
-            f"the target is sampled every {given.dt:.4g} s, coarser than the model's {model.dt:.4g} s, and was "
-            "interpolated by a cubic spline",
-        )
-    model = at_rate(model, target.dt)
-    wanted = np.asarray(to_model(model, target.displacement, zero))
-    start, stands = standing(model, start_input, target.dt)
-    path = extend(wanted, target.dt, model, limits, stands)
-    warnings += on_target(model, target, wanted, path, units)
-    first, last = path.target.start, path.target.stop
-    # the session's clock at the first sample played, before which the actuator was at rest
-    age = max(model.domain.age(target.time[0] - first * target.dt), 0.0)
-    start = rest_state(model, age) if start is None else start
-    if any(e.name == "stiffness_drift" for e in model.effects):
-        warnings += (
-            f"the stiffness drifts, so this voltage is for {age:.4g} s after the start of the session (the "
-            "target's clock)",
-        )
-    course = Course(model, path, limits, target.dt, age, start)
-    cut = course.plan(path.displacement)
-    if cut.infeasible[first:last].mean() > _MOST:
-        _refuse_other_side(course, -wanted, stands, float(cut.infeasible[first:last].mean()), zero)
-    best = course.best(cut, shots)
-    outside = outside_fraction(model, cut.features[first:last])
-    if outside > 0.01:
-        warnings += (
-            f"{100 * outside:.0f} % of the target lies outside the trained region: "
-            f"{outside_words(model, cut.features[first:last], target.time)}; expect larger errors there",
-        )
-    unseen = target_beyond(fitted, wanted, target.dt)
-    warnings += tuple(filter(None, [target_words(fitted, unseen)]))
-    inside = np.zeros(len(best.voltage), bool)
-    inside[first:last] = True
-    ramp = np.zeros(len(inside) - last, bool)
-    infeasible, saturated = np.append(cut.infeasible, ramp), np.append(cut.saturated, ramp)
-    warnings += on_start(float(best.voltage[first]), first * target.dt, limits)
-    warnings += on_reach(infeasible[inside].mean(), saturated[inside].mean(), limits)
-    warnings += on_stroke(wanted, float(np.abs(best.reading).max()), limits)
-    error = course.error(best)
-    if np.isnan(error):
-        warnings += (
-            f"the target is constant, so there is no error in % of range; the model's motion differs from it by "
-            f"{units.output.text(course.missed(best), 2)}",
-        )
-    warnings += on_smoothing(model, wanted, target.dt, error, course.missed(best), units)
+    limits, warnings = limits_of(fitted.model, max_voltage, max_slew, max_displacement, start_input, units)
+    sampled = at_rate_of_model(target, fitted.model.dt) if resample else target
+    smooth = without_rounding(sampled, fitted.model.order + 3)
+    wanted = wanted_motion(fitted.model, sampled, smooth, zero, start_input)
+    motion = led_in(wanted, limits)
+    cut = equation_voltage(motion, limits)
+    if cut.infeasible[motion.target].mean() > _MOST:
+        _refuse_other_side(wanted, limits, float(cut.infeasible[motion.target].mean()), zero)
+    best = best_voltage(motion, limits, cut, shots)
+    checked = check(motion, cut, best)
+    outside = outside_fraction(motion.model, cut.features[motion.target])
+    unseen = target_beyond(fitted, motion.wanted, motion.dt)
+    found = Found(fitted, target, sampled, motion, limits, cut, best, checked, outside, unseen)
+    return _plan(found, (*warnings, *advice(found)))
+
+
+def _plan(found: Found, warnings: tuple[str, ...]) -> Feedforward:
+    """Return the plan on the target's clock, with the model's own tracking error."""
+    motion, count = found.motion, len(found.best.voltage)
+    first, last = motion.target.start, motion.target.stop
+    inside = np.zeros(count, bool)
+    inside[motion.target] = True
+    ramp = np.zeros(count - last, bool)
     return Feedforward(
-        time=target.time[0] + (np.arange(len(best.voltage)) - first) * target.dt,
-        voltage=best.voltage,
-        infeasible=infeasible,
-        saturated=saturated,
+        time=found.sampled.time[0] + (np.arange(count) - first) * motion.dt,
+        voltage=found.best.voltage,
+        infeasible=np.append(found.cut.infeasible, ramp),
+        saturated=np.append(found.cut.saturated, ramp),
         target=inside,
-        wanted=np.concatenate([np.full(first, np.nan), target.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=max(outside, unseen.fraction),
-        self_check_e_rms_percent=error,
-        equation_e_rms_percent=course.error(cut),
+        wanted=np.concatenate([np.full(first, np.nan), found.sampled.displacement, np.full(len(ramp), np.nan)]),
+        outside_training_share=max(found.outside, found.unseen.fraction),
+        self_check_e_rms_percent=found.checked.percent,
+        equation_e_rms_percent=found.checked.equation_percent,
         warnings=warnings,
-        limits=limits.text,
+        limits=found.limits.text,
     )
 
 
-def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, fraction: float, zero: Zero) -> None:
+def _refuse_other_side(wanted: Motion, limits: Limits, fraction: float, zero: Zero) -> None:
     """Refuse a target whose negative is reachable: its sign or its offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.
     """
-    path = extend(negative, course.dt, course.model, course.limits, stands)
-    turned = replace(course, path=path).plan(path.displacement)
-    if turned.infeasible[path.target].mean() < _FEW:
+    motion = led_in(wanted.mirrored(), limits)
+    if equation_voltage(motion, limits).infeasible[motion.target].mean() < _FEW:
         other = "leave out --zero sensor if it is measured from the position at 0 V"
         if zero != "sensor":
             other = "give --zero sensor if it holds sensor readings"
@@ -192,17 +162,3 @@ def _refuse_other_side(course: Course, negative: np.ndarray, stands: float, frac
             f"{100 * fraction:.0f} % of the target lies on the side that this actuator cannot reach, but its negative "
             f"can be reached; change the sign of the target, or {other}"
         )
-
-
-def standing(model: Model, voltage: float, dt: float):
-    """Return the scaled state and the displacement (m) of the model settled at a voltage; (None, 0) at 0 V."""
-    if voltage == 0:
-        return None, 0.0
-    kind = model.coefficients.dtype
-    level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
-    level /= float(model.scales.state[0])
-    # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
-    begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
-    count = int(np.clip(settling(model)[0] / dt, 64, _WAITS))
-    state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
-    return state, float(state[0]) * float(model.scales.state[0])

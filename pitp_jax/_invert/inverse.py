@@ -19,7 +19,7 @@ from .._model.programs import jit, signal
 from .._simulate import ports
 from .discrete import along_motion
 from .equation import invert_path, unreachable
-from .motion import equation_of, motion_along
+from .tokens import equation_of, motion_along
 
 Kind = Literal["closed_form", "discrete"]
 

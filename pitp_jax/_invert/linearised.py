@@ -19,7 +19,7 @@ from .._model.programs import jit
 from .._numerics.intersample import between
 from .._simulate import ports
 from .._simulate.decoder import stage_fractions, step
-from .realtime import film_after
+from .one_sample import film_after
 
 
 class Stages(NamedTuple):

@@ -1,99 +1,129 @@
-"""Evaluate a model along a given motion, as pure functions of one recording: equation, memories and tokens.
+"""Describe the motion that a target asks of a model: in model coordinates, from a state in which the model is settled.
 
-X_i = x^(i) / scale_i,   m = memory(x),   sigma = tokens(S, m)        x by the coordinate of `_model.coordinate`
-
-Each signal is one recording; the caller vmaps.
+x = sensor^-1(target),    s_0 = rest at 0 V, or settled at the voltage that holds the actuator
 """
+
+from dataclasses import dataclass, replace
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._model.coordinate import Zero, sign, to_model
-from .._model.fitted import Fitted, model_of
-from .._model.memory import ElapsedTime
+from .._model.coordinate import Zero, to_model
+from .._model.drive import ElectrodeLag
+from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
-from .._model.programs import jit, signal
-from .._numerics.path_derivative import path_derivatives
-from .._simulate import ports
+from .._record.reading import Target
+from .._simulate.batched_rollout import fast_rollout
+from .._simulate.decoder import rest_state, still_state
+from .._simulate.prediction import at_rate
+
+_RINGS = 0.7  # damping below which a pole oscillates
+_IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out with oscillation, both without
+_WAITS = 100_000  # samples until a machine stands still
 
 
-def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
-    """Compute the scaled x of a displacement (m), with the sensor's effects removed."""
-    x = (to_model(model, displacement, zero) / model.scales.state[0]).astype(displacement.dtype)
-    return ports.moves(model, x, dt) if model.effects else x
+@dataclass(frozen=True)
+class Motion:
+    """A motion of one model on one clock.
+
+    Attributes:
+        model: with the substeps that this clock needs.
+        displacement: model coordinates, m, shape (T,).
+        target: the samples of the target itself.
+        wanted: the target with the rounding of its file, m.
+        begins: time of the first sample on the target's clock, s.
+        dt: sampling interval, s.
+        settling: durations of lead-in and lead-out by the slowest mode, s.
+        held: scaled state at the first sample; None at rest at 0 V.
+        stands: displacement in that state, m.
+        slew_kept: the nominal force of the lead-in stays within the slew limit.
+        reached: the lead-in ends in the target's first state: x^(i) within 2 % of omega_0^i times the target's size.
+    """
+
+    model: Model
+    displacement: np.ndarray
+    target: slice
+    wanted: np.ndarray
+    begins: float
+    dt: float
+    settling: tuple[float, float]
+    held: Float[Array, " state"] | None = None
+    stands: float = 0.0
+    slew_kept: bool = True
+    reached: bool = True
+
+    @property
+    def age(self) -> float:
+        """Return the age of the session at the first sample, before which the actuator was at rest, s."""
+        return max(self.model.domain.age(self.begins), 0.0)
+
+    @property
+    def start(self) -> Float[Array, " state"]:
+        """Return the scaled state at the first sample."""
+        return rest_state(self.model, self.age) if self.held is None else self.held
+
+    def mirrored(self) -> "Motion":
+        """Return the negative of the target, from the same state."""
+        return replace(self, displacement=-self.displacement, wanted=-self.wanted)
 
 
-def equation_of(model: Model, x: Float[Array, " time"], dt) -> Float[Array, "time tokens"]:
-    """Compute scaled [x, ..., x^(n)] along a scaled x, shape (time, n + 1)."""
-    steps = jnp.asarray(model.scales.rates, x.dtype) * dt
-    units = jnp.concatenate([jnp.ones(1, x.dtype), jnp.cumprod(1 / steps)])  # a power of dt alone would underflow
-    return path_derivatives(x, model.order) * units.astype(x.dtype)
-
-
-def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Float[Array, "time features"]:
-    """Compute the encoder's features along scaled [x, ..., x^(n)]: S, then memories settled at x(0)."""
-    x = equation[:, 0]
-    return jnp.concatenate([equation[:, :-1], model.memory.trajectory(x, dt, model.memory.initial(x[0]))], -1)
-
-
-def memory_along(
-    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
-) -> Float[Array, "time memory"]:
-    """Compute the memories along a displacement (m), shape (time, memories).
+def wanted_motion(
+    model: Model, target: Target, smooth: Target, zero: Zero = "rest", start_input: float = 0.0
+) -> Motion:
+    """Return the motion that a target asks for.
 
     Args:
         model: any.
-        displacement: shape (time,), m, without missing values; held at its first value before.
-        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
-
-    Returns:
-        one column per memory, m (the elapsed time of the paper's preset: s).
-
-    Examples:
-        >>> pitp.memory_along(model, jnp.zeros(64)).shape
-        (64, 0)
+        target: in its base unit, on the clock of the plan.
+        smooth: the same without the rounding of its file.
+        zero: where the target is 0.
+        start_input: V at the first sample.
     """
-    model = model_of(model)
-    displacement = signal(displacement, model.coefficients.dtype, "displacement")
-    return _memory_along(model, displacement, model.dt, zero)
+    model = at_rate(model, target.dt)
+    wanted, displacement = (np.asarray(to_model(model, t.displacement, zero), float) for t in (target, smooth))
+    times = settling(model)
+    held, stands = None, 0.0
+    if start_input:
+        held, stands = standing(model, start_input, target.dt, times[0])
+    own = slice(0, len(wanted))
+    return Motion(model, displacement, own, wanted, float(target.time[0]), target.dt, times, held, stands)
 
 
-@jit
-def _memory_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero) -> Float[Array, "time memory"]:
-    x = motion_along(model, displacement, dt, zero)
-    memory = model.memory.trajectory(x, dt, model.memory.initial(x[0]))
-    memories = model.memory
-    unit = memories.horizon if isinstance(memories, ElapsedTime) else sign(model) * model.scales.state[0]
-    return (memory * unit).astype(x.dtype)
+def settling(model: Model) -> tuple[float, float]:
+    """Return the durations of lead-in and lead-out by the slowest mode, s.
 
-
-def tokens_along(
-    model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
-) -> Float[Array, "time tokens"]:
-    """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
-
-    Args:
-        model: any; effects are not part of the tokens.
-        displacement: shape (time,), m, without missing values and without noise: it is differentiated.
-        zero: where the displacement is 0: "rest", at 0 V; "sensor", the sensor's own readings; or its value at 0 V.
-
-    Returns:
-        tokens in the units of the coefficients, V^2 s^i / m (behind a linear input V s^i / m).
-
-    Examples:
-        >>> tokens = pitp.tokens_along(model, jnp.linspace(0.0, 1e-3, 64))
-        >>> bool(jnp.allclose(tokens, model.physical_coefficients, rtol=1e-5))
-        True
+    A mode that oscillates needs 5 and 3 periods, any other half a period (3 time constants). A memory counts as at most
+    5 periods of the slowest pole, because slow creep excites no oscillation.
     """
-    model = model_of(model)
-    displacement = signal(displacement, model.coefficients.dtype, "displacement")
-    return _tokens_along(model, displacement, model.dt, zero)
+    poles = np.roots(model.physical_coefficients[::-1])
+    poles = poles[np.abs(poles) > 0]
+    memory, electrode = model.memory, model.drive
+    lags = np.exp(np.asarray(memory.log_tau, float)) if isinstance(memory, (FadingMemory, RingingMemory)) else []
+    beside: list[complex] = [-1 / float(tau) for tau in lags]
+    if isinstance(memory, RingingMemory):
+        omega, zeta = map(float, memory.ring)
+        beside.append(omega * complex(-zeta, np.sqrt(1 - zeta**2)))
+    if isinstance(electrode, ElectrodeLag):
+        beside.append(-float(np.exp(-electrode.log_tau)))
+
+    def longest(modes, periods: float) -> float:
+        size = np.abs(modes)
+        rings = -np.real(modes) < _RINGS * size
+        return float((np.where(rings, periods, _SMOOTH) * 2 * np.pi / size).max(initial=0.0))
+
+    most = _IN * longest(poles, 1.0)
+    lead_in, lead_out = (max(longest(poles, n), min(longest(beside, n), most)) for n in (_IN, _OUT))
+    return lead_in, lead_out
 
 
-@jit
-def _tokens_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero) -> Float[Array, "time tokens"]:
-    features = features_of(model, equation_of(model, motion_along(model, displacement, dt, zero), dt), dt)
-    tokens, _ = model.tokens_from(model.encoder.over()(list(features.T)))
-    units = model.scales.force / jnp.asarray(model.scales.state, features.dtype)
-    return (jnp.stack(tokens, -1) * units).astype(features.dtype)
+def standing(model: Model, voltage: float, dt: float, seconds: float) -> tuple[Float[Array, " state"], float]:
+    """Return the scaled state and the displacement (m) of the model settled at a voltage for so many seconds."""
+    kind = model.coefficients.dtype
+    level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
+    level /= float(model.scales.state[0])
+    # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
+    begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
+    count = int(np.clip(seconds / dt, 64, _WAITS))
+    state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
+    return state, float(state[0]) * float(model.scales.state[0])

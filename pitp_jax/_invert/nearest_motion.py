@@ -9,14 +9,12 @@ keeps them. m is the error of the first voltage, U the range of voltages. 10,000
 """
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 
 from .._model.model import Model
 from .._model.programs import in_double
-from .._simulate import ports
-from .._simulate.batched_rollout import fast_rollout
-from .change_programme import Played, Wish, best_change, second_differences
+from .change_programme import Wish, best_change, second_differences
+from .self_check import Played, play
 
 _STEPS = 10  # of Gauss-Newton
 _GAIN = 2e-3  # relative gain of the objective below which it ends
@@ -37,7 +35,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
     # an interior point divides by slacks near zero, which float32 would lose beside voltages of order one
     with jax.enable_x64(True):
         model = in_double(model)
-        now = _play(model, wish, first)
+        now = play(model, first, wish.dt, wish.start)
         size = np.sqrt(sum((part**2).sum() for part in _misses(wish, now)))
         if not 0 < size < np.inf:
             return first
@@ -46,7 +44,10 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
         for _ in range(_STEPS):
             change = best_change(model, wish, now, size, rho)
             length = 1.0
-            while (ahead := _cost(wish, tried := _play(model, wish, now.voltage + length * change), size, rho)) >= cost:
+            while True:
+                tried = play(model, now.voltage + length * change, wish.dt, wish.start)
+                if (ahead := _cost(wish, tried, size, rho)) < cost:
+                    break
                 length /= 2
                 if length < _SHORTEST:
                     return now.voltage
@@ -54,12 +55,6 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
             if gain < _GAIN * (cost + gain):
                 break
     return now.voltage
-
-
-def _play(model: Model, wish: Wish, voltage: np.ndarray) -> Played:
-    start = jnp.asarray(wish.start, jnp.float64)
-    states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), wish.dt, start[None])[0]
-    return Played(voltage, np.asarray(states), np.asarray(ports.readings(model, states)) * model.scales.state[0])
 
 
 def _misses(wish: Wish, played: Played) -> tuple[np.ndarray, np.ndarray]:

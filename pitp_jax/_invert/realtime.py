@@ -10,7 +10,6 @@ sides: V' is of 2nd order instead of 4th.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import singledispatch
 
 import jax
 import jax.numpy as jnp
@@ -20,16 +19,14 @@ from jaxtyping import Array, Float
 
 from .._errors import BadInput
 from .._model.coordinate import from_model, sign
-from .._model.drive import AbstractDrive, DirectDrive, ElectrodeLag
 from .._model.equation import equation_force
 from .._model.fitted import Fitted, model_of
-from .._model.memory import AbstractMemory, FadingMemory
 from .._model.model import Model
 from .._model.programs import full_precision
 from .._numerics.intersample import between
-from .._numerics.linear_recurrence import lag_after
 from .._simulate.decoder import film_voltage, rest_state, stage_fractions, step
 from .._simulate.prediction import at_rate
+from .one_sample import film_after, lag, memory_after
 
 
 @dataclass(frozen=True)
@@ -151,69 +148,6 @@ def _compile(exported: export.Exported):
     for given in (values, values.astype(np.float64)):  # one program unless 64 bits are enabled
         jax.block_until_ready(run(carry, given))
     return run
-
-
-@singledispatch
-def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    """Return the memories one sample later, x linear from `before` to `now` (scaled)."""
-    return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
-
-
-@memory_after.register
-def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    return lag_after(state, before, now, jnp.exp(memory.log_tau), dt)
-
-
-@singledispatch
-def lag(drive: AbstractDrive) -> Array:
-    """Return the time constant tau of u = V + tau V', s."""
-    raise BadInput(f"a {type(drive).__name__} has no real-time inverse")
-
-
-@lag.register
-def _(drive: DirectDrive) -> Array:
-    return jnp.zeros((), jnp.float32)
-
-
-@lag.register
-def _(drive: ElectrodeLag) -> Array:
-    return jnp.exp(drive.log_tau)
-
-
-@singledispatch
-def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    """Return the film voltage one sample later, the voltage u linear from `before` to `now`."""
-    raise BadInput(f"no real-time step of a {type(drive).__name__}")
-
-
-@film_after.register
-def _(drive: DirectDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    return now
-
-
-@film_after.register
-def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) -> Array:
-    return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
-
-
-@singledispatch
-def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    """Return the film's stage voltages, and its voltage at the end, over one sample of a held voltage u."""
-    raise BadInput(f"no real-time step of a {type(drive).__name__}")
-
-
-@film_held.register
-def _(drive: DirectDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    return jnp.full(len(stages), now), now
-
-
-@film_held.register
-def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    tau, first = jnp.exp(drive.log_tau), float(stages[2]) * dt
-    left = (film - now) * jnp.exp(-stages * dt / tau)
-    # the first stage makes Simpson's rule exact for the mean, because a short lag ends between two stages
-    mean = -(film - now) * jnp.expm1(-first / tau) * tau / first
-    return now + left.at[0].set(6 * mean - 4 * left[1] - left[2]), now + left[-1]
 
 
 def _refused(model: Model, dt: float) -> Model:

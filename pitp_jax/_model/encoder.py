@@ -116,8 +116,13 @@ class CompactEncoder(AbstractEncoder):
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
         all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
+    `remainder`: for a nominal that already holds the known physics. All logits are multiplied by a factor that is 1 in
+    the inner half of `bounds` (the trained region) and 0 outside of them:
+
+        prod_i s(2 - |S_i - c_i| / h_i)    s(t) = t^2 (3 - 2 t) on [0, 1];  c: centre, h: quarter of the bounds' width
+
     Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without one
-    no token can express a remaining force at x = 0), `frugal`, bounds of shape (2, features).
+    no token can express a remaining force at x = 0), `frugal`, `remainder`, bounds of shape (2, features).
     """
 
     spring: _Net
@@ -131,6 +136,7 @@ class CompactEncoder(AbstractEncoder):
     order: int = eqx.field(static=True)
     offset: bool = eqx.field(static=True)
     frugal: bool = eqx.field(static=True)
+    remainder: bool = eqx.field(static=True)
 
     def __init__(
         self,
@@ -140,11 +146,12 @@ class CompactEncoder(AbstractEncoder):
         width: int,
         offset: bool = True,
         frugal: bool = False,
+        remainder: bool = False,
         bounds: np.ndarray | None = None,
         key: PRNGKeyArray,
     ):
         first, second, third = jax.random.split(key, 3)
-        self.order, self.offset, self.frugal = order, offset, frugal
+        self.order, self.offset, self.frugal, self.remainder = order, offset, frugal, remainder
         # at order 1 sigma_0 and sigma_n are all the tokens: there is no damping between them
         moving, reads_past = order + (0 if frugal else memories), offset and not frugal
         self.spring = _Net(1, 2, width, first)
@@ -183,13 +190,16 @@ class CompactEncoder(AbstractEncoder):
             for k, row in enumerate(memory[: len(self.fading)]):  # none without an offset token
                 offset = offset + (self.fading[k, 0] + self.fading[k, 1] * x + self.fading[k, 2] * powers[1]) * row
             raw = [first, *middle, last]
-            if self.coupling is None:
+            if self.coupling is not None:
+                common = jnp.exp(sum(c * power for c, power in zip(self.coupling, powers, strict=True)))
+                # the token g(l) is multiplied, not the logit: a force coupling divides every token by the same factor
+                for k in np.flatnonzero(shared_by(n)):
+                    raw[k] = logit_of(positive_factor(raw[k]) * common)
+                offset = offset * common
+            if not self.remainder:
                 return [*raw, offset]
-            common = jnp.exp(sum(c * power for c, power in zip(self.coupling, powers, strict=True)))
-            # the token g(l) is multiplied, not the logit: a force coupling divides every token by the same factor
-            for k in np.flatnonzero(shared_by(n)):
-                raw[k] = logit_of(positive_factor(raw[k]) * common)
-            return [*raw, offset * common]
+            fade = _fade(features[:n], low, high)
+            return [fade * row for row in (*raw, offset)]
 
         return logits
 
@@ -207,7 +217,9 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Mark the nets of spring and damping, which have parallel polynomials."""
+        """Mark the nets of spring and damping, which have parallel polynomials; of a `remainder` all weights."""
+        if self.remainder:
+            return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
 
         def nets(e):
             return tuple(net for net in (e.spring, e.damping) if net is not None)
@@ -262,6 +274,14 @@ class AdaptedEncoder(AbstractEncoder):
     def scaled(self, factor):
         """Return the encoder with the inner last layer times `factor`; the factors of the day stay."""
         return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
+
+
+def _fade(state: Rows, low: Array, high: Array) -> Array:
+    fade = jnp.ones_like(state[0])
+    for i, row in enumerate(state):
+        t = jnp.clip(2 - jnp.abs(row - (low[i] + high[i]) / 2) * 4 / (high[i] - low[i]), 0.0, 1.0)
+        fade = fade * t * t * (3 - 2 * t)
+    return fade
 
 
 def plain(encoder: AbstractEncoder) -> AbstractEncoder:

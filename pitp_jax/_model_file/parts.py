@@ -57,6 +57,7 @@ def _compact_sizes(encoder: CompactEncoder) -> dict:
         "width": encoder.spring.readout.in_features,
         "offset": int(encoder.offset),
         "frugal": int(encoder.frugal),
+        **({"remainder": 1} if encoder.remainder else {}),
     }
 
 
@@ -88,7 +89,9 @@ ENCODERS = {
     "compact": Part(
         CompactEncoder,
         _compact_sizes,
-        lambda offset, frugal=0, **k: CompactEncoder(**k, offset=bool(offset), frugal=bool(frugal), key=_key()),
+        lambda offset, frugal=0, remainder=0, **k: CompactEncoder(
+            **k, offset=bool(offset), frugal=bool(frugal), remainder=bool(remainder), key=_key()
+        ),
     ),
     "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
     # its module is not rebuilt from the file, which could then choose the code that runs; the caller supplies it

@@ -22,6 +22,8 @@ _PART = 1e-3  # of a recording's energy
 _SLOW = 0.35  # of the resonance, an edge of the diagnosis's bands
 _TAPER = 0.5  # of a recording, in both ends of its one window together
 _NAMED = 0.01  # of a recording: a frequency that a sentence names, and no spill of the window
+_COMMON = 2 / 3  # of the energy of one excitation, in bands where its repetition has it as well,
+_ALIKE = 1.2  # and of their amplitudes, which differ by less between repetitions
 _TAIL = 0.05  # of the energy outside, which its range of frequencies leaves out on either side
 
 
@@ -207,3 +209,30 @@ def unexcited(
         return None
     together = [k for k, (n, _, _) in enumerate(missing) if n - k == missing[0][0]]
     return missing[0][1], missing[together[-1]][2]
+
+
+def distinct(signals: Sequence[np.ndarray], dt: float) -> tuple[tuple[int, ...], ...]:
+    """Group signals by excitation: those whose energy lies in the same bands at about the same amplitude.
+
+    Two thirds of the energy must be in common bands, and the amplitudes must not differ by more than a fifth.
+
+    Args:
+        signals: base unit, each of shape (time,), one sampling interval.
+        dt: sampling interval in s.
+
+    Returns:
+        the indices of each group, in the order of their first signals.
+    """
+    groups: list[tuple[dict[int, float], float, list[int]]] = []
+    for k, signal in enumerate(signals):
+        table = tabulate([signal], dt)
+        total, size = sum(part for _, _, part in table), max((a for _, a, _ in table), default=0.0)
+        parts = {int(_number(hz)): part / total for hz, _, part in table}
+        for other, amplitude, members in groups:
+            common = sum(min(part, other.get(number, 0.0)) for number, part in parts.items())
+            if common >= _COMMON and size <= _ALIKE * amplitude and amplitude <= _ALIKE * size:
+                members.append(k)
+                break
+        else:
+            groups.append((parts, size, [k]))
+    return tuple(tuple(members) for _, _, members in groups)

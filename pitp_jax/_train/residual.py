@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .._invert.motion import equation_of, features_of, motion_along
+from .._invert.tokens import equation_of, features_of, motion_along
 from .._model.coordinate import Zero
 from .._model.fitted import Fitted, model_of
 from .._model.model import Model

@@ -37,6 +37,7 @@ _WORDS = {
 
 
 PARTS = {name: lookup(name) for name in ("delay", "sensor_lag")}
+_REMAINDER = 10.0  # times the prior weight: the corrections of a model that holds the known physics
 
 
 @dataclass(frozen=True)
@@ -68,6 +69,8 @@ class Settings:
         firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other parameter has
             1e-4. Default: 1e-4; with `few` records and a squared input 0.06 over their number, because the error is a
             mean over records; 1e-3 for a linear input, where it extrapolates in amplitude.
+        remainder: whether the nominal holds the known physics, so that the compact encoder only learns the remainder:
+            all its weights are ten times as firm, and its corrections fade to zero outside the trained region.
 
     Raises:
         BadInput: an unknown word.
@@ -98,6 +101,7 @@ class Settings:
     refine_steps: int = 40
     starts: int = 3
     firmness: float | None = None
+    remainder: bool = False
 
     def __post_init__(self):
         """Refuse unknown words, which would silently act as the default."""
@@ -155,9 +159,10 @@ def firmness_of(settings: Settings, model: Model, records: int) -> float:
     """Return the prior weight of the spring and damping nets: higher without a square, highest with `few` records."""
     if settings.firmness is not None:
         return settings.firmness
+    factor = _REMAINDER if settings.remainder else 1.0
     if _small_encoder(model):
-        return 0.06 / records  # the error is a mean over records: fewer carry less information
-    return 1e-4 if model.input_map.one_sided else 1e-3
+        return factor * 0.06 / records  # the error is a mean over records: fewer carry less information
+    return factor * (1e-4 if model.input_map.one_sided else 1e-3)
 
 
 def _small_encoder(model: Model) -> bool:
@@ -185,7 +190,8 @@ def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
     old, new = nominal.scales, model.scales
     # training has its own scales; an effect's parameters are stored in those of its model
     given = tuple(in_scales(e, (old.state, old.force), (new.state, new.force)) for e in nominal.effects)
-    effects = (*given, *(PARTS[part](begin) for part in settings.parts))
+    present = {e.name for e in given}  # a second delay beside the nominal's would leave both undetermined
+    effects = (*given, *(PARTS[part](begin) for part in settings.parts if part not in present))
     return replace(with_drive(model, settings), effects=effects)
 
 
@@ -204,6 +210,7 @@ def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
         frugal = model.input_map.one_sided and len(data.features) < settings.few
         encoder = CompactEncoder(
-            n, memories, width=settings.width, offset=settings.offset, frugal=frugal, bounds=bounds, key=key
-        )
+            n, memories, width=settings.width, offset=settings.offset, frugal=frugal, remainder=settings.remainder,
+            bounds=bounds, key=key,
+        )  # fmt: skip
     return eqx.tree_at(lambda m: m.encoder, model, encoder)
