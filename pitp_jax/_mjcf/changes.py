@@ -115,7 +115,7 @@ def _with_weight(
 
 def _is_known(p: Parameter) -> bool:
     """Return whether a parameter has a known difference, larger than two standard errors."""
-    return bool(p.difference) and (p.stderr is None or abs(p.difference) > 2 * p.stderr)
+    return bool(p.difference) and (p.stderr is None or bool(abs(p.difference) > 2 * p.stderr))
 
 
 def _value(p: Parameter) -> str:
