@@ -226,7 +226,9 @@ def diagnose(
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
     limit.begin("comparing the best set")
-    decision, (handed, made, names_back) = _checked(search, decide(search, own, noise, distinct), model, records, before)
+    decision, (handed, made, names_back) = _checked(
+        search, decide(search, own, noise, distinct), model, records, before
+    )
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
