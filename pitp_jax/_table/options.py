@@ -120,7 +120,7 @@ class ReadOptions:
             "".encode(self.encoding or "utf-8")
         except LookupError:
             problems.append(
-                f"--encoding {cleaned(self.encoding)!r} is not known; utf-8, cp1252, cp932, gb18030, cp1251, ..."
+                f"--encoding {cleaned(self.encoding)!r} is not known; use utf-8, cp1252, cp932, gb18030, cp1251, ..."
             )
         return problems
 
