@@ -163,8 +163,9 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("--effects", default=",".join(EFFECTS))
     parser.add_argument("--results", type=Path, help="one line a cell; a run resumes from it")
     parser.add_argument("--trained", action="store_true", help="twelve trained models instead of withheld plants")
+    parser.add_argument("--smoke", action="store_true", default=smoke)
     options = parser.parse_args([] if smoke and argv is None else argv)
-    if smoke:
+    if options.smoke:
         options.seeds, options.effects = "0", "healthy"
     if options.trained:
         return trained(KINDS)

@@ -135,8 +135,9 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("--draws", type=int, default=200, help="over all noises and starts, in turn")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, help="one line a draw; a run resumes from it")
+    parser.add_argument("--smoke", action="store_true", default=smoke)
     options = parser.parse_args([] if smoke and argv is None else argv)
-    options.draws = 12 if smoke else options.draws
+    options.draws = 12 if options.smoke else options.draws
     kept = options.results.read_text().splitlines() if options.results and options.results.exists() else []
     done, drawn = {said["key"]: said for said in map(json.loads, kept)}, []
     for k in range(options.draws):

@@ -84,8 +84,9 @@ def main(smoke: bool = False, argv=None):
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--actuators", type=int, default=20)
     parser.add_argument("--seed", type=int, default=0, help="of the first actuator")
+    parser.add_argument("--smoke", action="store_true", default=smoke)
     options = parser.parse_args([] if smoke and argv is None else argv)
-    cells = [one(options.seed + k, 40.0) for k in range(1 if smoke else options.actuators)]
+    cells = [one(options.seed + k, 40.0) for k in range(1 if options.smoke else options.actuators)]
     rows = []
     for seed, (hz, zeta, hard, limit, first, second, near) in enumerate(cells):
         said = [f"{c['harmless allowed']} of {c['harmless']}" for c in (first, second)]

@@ -83,7 +83,7 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
     assert ratios["damping"].unit == "Kp s" and ratios["damping"].simulator == pytest.approx(0.045, rel=5e-3)
 
 
-def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(simulator):
+def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_enter(simulator):
     robot: Any = _robot(simulator, [("delay", 0.02)], (1.0, 1.0, 1.0))
     pairs: Any = SimpleNamespace(remarks=lambda *names: [])
     told = parameters(simulator, robot, recordings(), 20.0)
@@ -95,8 +95,8 @@ def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_type_in(si
         simulator_share=(0.0, 0.0, 0.0),
         records=recordings(),
     )
-    (line,) = [line for line in SimToReal.lines(found) if "type in" in line]
-    assert "17.5 ms" in line and "2.5 ms more" in line
+    (line,) = [line for line in SimToReal.lines(found) if "Enter a delay" in line]
+    assert "17.5 ms" in line and "half a sample (2.5 ms)" in line
 
 
 def test_coefficients_scaled_alike_are_a_position_gain_or_its_twin(simulator):

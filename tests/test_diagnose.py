@@ -132,6 +132,18 @@ def test_two_effects_are_both_named(nominal):
 
 
 @pytest.mark.slow
+def test_a_load_and_creep_are_both_named(nominal):
+    """Changed coefficients absorb most of both; beside them creep must be tried, and of them only the mass needed."""
+    a = np.asarray(nominal.coefficients) * [1, 1, 1.25]
+    planted = replace(
+        nominal, coefficients=jnp.asarray(a, jnp.float32), effects=(effect("creep", "one branch", 0.18, 0.8),)
+    )
+    found = pitp.diagnose(nominal, play(planted), exclude=[n for n in FEW if n != "added_mass"])
+    assert set(found.effects) == {"added_mass", "creep"} and found.verdict == "explained"
+    np.testing.assert_allclose(found.shift, [1, 1, 1.25], rtol=0.01)
+
+
+@pytest.mark.slow
 def test_in_a_refit_the_nominal_is_found_beside_the_effect(nominal):
     """A nominal that was bent by the clip in its own records comes back to the true one, without being asked."""
     records = play(replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),)))

@@ -1,4 +1,4 @@
-"""Which frequency stands for a model: the mode that rings, not the mean of all poles."""
+"""Which frequency stands for a model: the mode that moves most, not the mean of all poles."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,9 @@ def real(hz):
         ([pair(8.0, 0.1), real(347.0)], 8.0),
         ([pair(8.0, 0.1), pair(398.0, 0.5)], 8.0),
         ([pair(8.0, 0.1), real(0.01)], 8.0),
-        ([pair(8.0, 0.3), pair(20.0, 0.05)], 20.0),
+        ([pair(8.0, 0.3), pair(20.0, 0.05)], 8.0),
+        ([pair(10.0, 0.05), pair(200.0, 0.02)], 10.0),
+        ([pair(8.0, 0.1), pair(60.0, 0.05), real(30.0)], 8.0),
         ([real(2.4), real(4.7)], np.sqrt(2.4 * 4.7)),  # sqrt(a_0 / a_2), where the lags add up to 90 degrees
         ([real(3.0)], 3.0),
         ([np.array([0.0, 1.0]), real(3.0)], 3.0),

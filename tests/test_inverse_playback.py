@@ -37,6 +37,14 @@ def test_a_slower_clock_gets_the_targets_spline():
     np.testing.assert_allclose(found.displacement, np.sin(9 * found.time), atol=1e-9)
 
 
+def test_a_slower_clock_gets_no_rounding():
+    """At 4 kHz, 1 nm is more than the whole acceleration of this target."""
+    time = np.arange(10_000) / 1e4
+    found = at_slower_rate(Target(time, np.round(5e-4 * (1 - np.cos(np.pi * time)), 9)), 4000.0)
+    rate, truth = np.diff(found.displacement, 2) * 4000.0**2, 5e-4 * np.pi**2 * np.cos(np.pi * found.time[1:-1])
+    np.testing.assert_allclose(rate, truth, atol=0.02 * np.abs(truth).max())
+
+
 @pytest.mark.parametrize("rate", [None, 1000.0])
 def test_the_same_clock_changes_nothing(rate):
     target, made = Target(TIME, np.sin(9 * TIME)), plan()

@@ -91,6 +91,19 @@ def test_a_resonance_is_sought_where_both_its_sides_were_excited():
     assert not [f for f in forms(replace(SCALE, low=10.0, high=12.0)) if f.name == "second_mode"]
 
 
+def test_a_memory_starts_with_the_stiffness_and_the_mass_of_the_set_below_it():
+    """A branch that starts beside changed coefficients must not detune them: fast motions see a_0 (1 + kappa)."""
+    search = Search.__new__(Search)
+    slots = OFF.copy()
+    slots[:3] = 2.0, 0.1, 0.5
+    front = Fit((PARAMETERS,), ("a0", "a1", "a2"), slots, np.zeros((1, 2)))
+    begun = [search._started(front, f) for f in forms(SCALE) if f.name == "viscoelastic"]
+    kappas = [f.value("creep: one branch, kappa") for f in begun]
+    assert len(begun) > 3 and min(kappas) > 0
+    for f, kappa in zip(begun, kappas, strict=True):
+        np.testing.assert_allclose(f.slots[:3] * [1 + kappa, 1, 1], slots[:3], rtol=1e-12)
+
+
 def test_a_number_stays_within_what_was_reached():
     """Dry friction that changes at speeds beyond all that were reached is dry friction of another level."""
     ends = bounds(replace(SCALE, fastest=3.0))
@@ -286,6 +299,15 @@ def test_the_nominals_own_error_is_no_gap():
     search = searched(hypothesis(("delay",), 0.3), own=0.9)
     assert decide(search, 0.9, 0.0, 6).verdict == "no_gap"
     assert decide(searched(hypothesis(("delay",), 0.3)), 0.8, 0.0, 6).verdict == "explained"
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(("error", "verdict_"), [(0.95, "no_gap"), (0.8, "unknown")])
+def test_a_refit_at_the_noise_is_no_gap_unless_a_set_is_clearly_better(error, verdict_):
+    """A set that is 5 % better fits noise; 20 % would be more than the noise allows."""
+    search = searched(hypothesis(("drag",), error), own=1.0, refit=True)
+    assert decide(search, 0.0, 1.0, 6).verdict == verdict_
+    assert decide(search, 0.0, 0.8, 6).verdict == "unknown"  # more error than the noise
 
 
 @pytest.mark.parametrize(

@@ -293,3 +293,19 @@ def test_missing_first_samples():
         lost = np.isin(np.arange(len(SINE)), start + np.arange(4))
         r = record(SINE, np.where(lost, np.nan, motion(SINE) + zero), 7, start=start)
         assert starts_at_rest(r, zero, OMEGA) is still
+
+
+@pytest.mark.parametrize(("kind", "fraction"), [("rest", 0.0), ("held", 0.04), ("moving", 0.04)])
+def test_what_follows_later_does_not_decide_how_a_record_begins(nominal, kind, fraction):
+    """Small motions beside a stroke ten times as large, as in an arrow: the first 3 s alone give the same answer."""
+    time = np.arange(9000) * DT
+    small = 100 * (1 - np.cos(2 * np.pi * 3 * time))
+    drive = np.sqrt(fraction) * 1000 + small + np.where(time > 4, 900 * (1 - np.cos(2 * np.pi * 4 * time)) / 2, 0.0)
+    x = lsim(([1e-9], [1 / OMEGA**2, 0.2 / OMEGA, 1]), drive**2 - (kind == "held") * drive[0] ** 2, time)[1]
+    y = x + (kind == "held") * 1e-9 * drive[0] ** 2 + NOISE * np.random.default_rng(5).standard_normal(len(x))
+    cut = 730 if kind == "moving" else 0
+    whole = Record("whole", time[: len(time) - cut], drive[cut:], y[cut:])
+    first = Record("first", whole.time[:3000], whole.voltage[:3000], whole.displacement[:3000])
+    (some,), _ = beginnings(nominal, [first], [0.0])
+    (every,), _ = beginnings(nominal, [whole], [0.0])
+    assert some == every and some.begins == kind

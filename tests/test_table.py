@@ -17,6 +17,7 @@ import pitp_jax as pitp
 from pitp_jax._errors import BadInput
 from pitp_jax._record import read
 from pitp_jax._table.names import read_header
+from pitp_jax._table.options import folder_file
 from pitp_jax._table.units import INPUT_UNITS, TIME_UNITS, base_unit, column_name, from_base, spelt, to_base
 
 QUIET = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -355,6 +356,23 @@ def test_a_folder_file_speaks_for_its_files_and_not_for_ours(tmp_path):
     assert read(tmp_path / "scope.csv", output_scale=0.004)[0].displacement[9] == pytest.approx(OUTPUT[9] * 2e-3)
     (tmp_path / "pitp.toml").write_text('["*.csv"]\ncolour = "red"\n')
     assert "colour: unknown key" in refused(tmp_path / "scope.csv")
+
+
+def test_options_that_all_files_share_are_written_once(tmp_path):
+    """The written file reads another file of the same kind, too; different options are kept apart."""
+    for name, gain in (("a[1].csv", 1000), ("b.csv", 1000), ("new.csv", 1000), ("apart.csv", 500)):
+        csv_of(tmp_path / name, ("X", "CH1", "CH2"), (TIME, VOLTAGE / gain, OUTPUT / 2), below=["s,V,V"])
+    shared = {"input_column": "CH1", "output_column": "CH2", "output_scale": 0.002}
+    said = {}
+    for name, gain in (("a[1].csv", 1000), ("b.csv", 1000)):
+        said[name] = read(tmp_path / name, **shared, input_scale=gain)[0].recognised["options"]
+    (tmp_path / "pitp.toml").write_text(folder_file(said))
+    assert (tmp_path / "pitp.toml").read_text().count("input-scale") == 1
+    same(read(tmp_path / "new.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+    said["apart.csv"] = read(tmp_path / "apart.csv", input_scale=500)[0].recognised["options"]
+    (tmp_path / "pitp.toml").write_text(folder_file(said))
+    for name in said:
+        same(read(tmp_path / name)[0], VOLTAGE, OUTPUT * 1e-3)
 
 
 @pytest.mark.parametrize(

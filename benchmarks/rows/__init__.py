@@ -25,7 +25,6 @@ ROWS = {
     "diagnose_unknown": "diagnose_unknown",
     "import": "import_time",
     "reading": "reading",
-    "stage_qp": "stage_qp",
 }
 
 

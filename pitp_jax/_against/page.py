@@ -62,7 +62,8 @@ def _table(found: SimToReal) -> str:
         values = (f"{figure(p.simulator)} {unit}", f"{figure(p.robot)} {unit}")
         difference = with_error(p.difference, p.stderr, unit) if p.difference else "none"
         cells = (p.words, *values, difference, p.mujoco, p.physx, p.urdf)
-        rows.append(("named" if p.difference and p.certain else "pale" if not p.difference else "", cells))
+        look = "" if p.difference else "pale"
+        rows.append(("named" if p.difference and p.certain else look, cells))
     gain = any("Kp" in p.unit for p in found.parameters)
     note = (
         "Bold rows belong to effects that the diagnosis reports. The damping includes that of the controller, and the "

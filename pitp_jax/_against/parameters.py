@@ -222,9 +222,10 @@ def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Ma
     for effect in effects:
         for key, n in _numbers(model, effect, of, fitted.get(effect.name, {})):
             old = table.get(key)
-            value = n.value if old is None else min(old.value, n.value) if "stop" in key else old.value + n.value
-            causes = n.causes | (old.causes if old else frozenset())
-            table[key] = replace(n, value=value, causes=causes)
+            if old is not None:
+                value = min(old.value, n.value) if "stop" in key else old.value + n.value
+                n = replace(n, value=value, causes=n.causes | old.causes)
+            table[key] = n
     if late := table.get("delay time"):
         table["delay time"] = replace(late, value=max(late.value - held, 0.0))
     return table
@@ -289,7 +290,8 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             error = errors[p.name]
             if p.name == "inverse":  # stored so that 0 means no limit; reported as the limit
                 error = None if error is None or not value else error / value**2
-                value, unit = 1 / value if value else np.inf, of.command + ("/s" if unit.startswith("s") else "")
+                unit = f"{of.command}/s" if unit.startswith("s") else of.command
+                value = 1 / value if value else np.inf
                 if p.force:  # a limit of the actuator's force
                     value, unit, error = of.factor * value, of.force, error and of.factor * error
             elif p.force == 1:  # by its force, not by its unit: a backlash in rad is not a command in rad

@@ -94,8 +94,8 @@ class SimToReal:
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
             found.append(
-                f"The robot's delay to type in is {1e3 * late.robot:.3g} ms. The model's own delay is "
-                f"{number(half, 3)} ms more, half a sample of the log."
+                f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
+                f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
             )
         if self.simulator_share[0] >= 0.05:
             found.append(

@@ -159,8 +159,11 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     fitted = fit_set(used) if used and model is None else None
     beside = beside_model(model, used) if used and model is not None else {}
-    resonance = model.natural_frequency / (2 * np.pi) if model is not None else fitted.natural_hz if fitted else None
-    input_map = model.input_map.name if model is not None else fitted.input_map if fitted else "square"
+    resonance, input_map = None, "square"
+    if model is not None:
+        resonance, input_map = model.natural_frequency / (2 * np.pi), model.input_map.name
+    elif fitted:
+        resonance, input_map = fitted.natural_hz, fitted.input_map
     rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
     turned = _turned(rows)
     more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
@@ -211,7 +214,8 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
     noise, colour, direction, e_rms = own.noise, None, None, None
     if fitted is not None and record.name in fitted.records:
         row = fitted.records[record.name]
-        top = own.band_hz[1] * (2 if fitted.input_map == "square" else 1) if own.band_hz else 0.0
+        harmonic = 2 if fitted.input_map == "square" else 1
+        top = harmonic * own.band_hz[1] if own.band_hz else 0.0
         coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
         noise, colour = (noise, "white") if coloured is None else (coloured, "coloured")
         begun, direction = row.beginning, int(row.beginning.direction) if row.tells else None

@@ -73,14 +73,11 @@ def facts(record: Record) -> Facts:
     noise = noise_std(record.displacement)
     values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
     repaired = tuple(Remark(kind, record.name, value) for kind, value in values.items() if value)
-    problems = [
-        f"{Remark(kind, record.name, count)}: {advice}"
-        for kind, count, advice in (
-            ("outliers", outliers if outliers > _MANY * record.samples else 0, "check the sensor"),
-            ("clipped", clipped, "move the sensor or widen its range"),
-        )
-        if count
-    ]
+    problems = []
+    if outliers > _MANY * record.samples:
+        problems.append(f"{Remark('outliers', record.name, outliers)}: check the sensor")
+    if clipped:
+        problems.append(f"{Remark('clipped', record.name, clipped)}: move the sensor or widen its range")
     problems += questions(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
     excitation = kind(record) if changes else "none"
     return Facts(excitation, band, noise, outliers, clipped, lost, jitter, repaired, tuple(problems))
@@ -116,11 +113,10 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
         reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
     # the median, so that one record in other units does not change the usual value
     usual = float(np.median(reach))
-    return lines + [
-        f"{r.name}: moves {x / usual:.2g} times as far per volt as most others; check its unit"
-        for r, x in zip(records, reach, strict=True)
-        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT)
-    ]
+    for r, x in zip(records, reach, strict=True):
+        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT):
+            lines.append(f"{r.name}: moves {x / usual:.2g} times as far per volt as most others; check its unit")
+    return lines
 
 
 def moves(record: Record) -> bool:

@@ -50,16 +50,17 @@ def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explaine
     for r, p, error, floor in zip(records, runs, errors, floors, strict=True):
         own = misfit * floor if np.isfinite(misfit) else 0.0
         bound = max(_LEAST, _NOISES * floor, _TIMES * max(own, min(usual, _MOST / _TIMES)))
+        coloured = colour = None
         if not np.isfinite(error):
             problem = "the model diverges on it" if p.diverged else "it holds no samples to score"
         else:
             most = f" ({usual:.2g} % of most of these)" if usual < error / 2 else ""
             problem = f"the model does not explain it: error {error:.3g} % of range{most}" if error > bound else ""
-        residual = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
-        top = drive_band(r)[1] * (2 if square else 1)
-        coloured = coloured_noise(residual, r.observed, r.dt, top, resonance) if np.isfinite(error) else None
+            residual = np.where(r.observed & ~np.isnan(p.displacement), p.displacement - r.displacement, 0.0)
+            top = drive_band(r)[1] * (2 if square else 1)
+            coloured = coloured_noise(residual, r.observed, r.dt, top, resonance)
+            colour = "white" if coloured is None else "coloured"
         begun = Beginning(p.begins, p.direction, p.zero, p.zero_stderr)
-        colour = None if not np.isfinite(error) else "white" if coloured is None else "coloured"
         explained[r.name] = Explained(begun, error if np.isfinite(error) else None, coloured, colour, problem,
                                      p.not_excited)  # fmt: skip
     return explained

@@ -20,7 +20,9 @@ from .._table.quantity import grouped
 def bode_page(fits: Identification, name: str) -> str:
     """Return a self-contained HTML page on the identification written to `name`."""
     chosen = fits.chosen
-    kind = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
+    kind = f"hold {chosen.hold}"
+    if chosen.static or chosen.integrates:
+        kind = "static" if chosen.static else "without a spring"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
     parts = [
         tag(

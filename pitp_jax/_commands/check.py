@@ -52,10 +52,8 @@ def _write(result: Check, files: dict[str, str], folder: Path) -> None:
     for record in result.understood:
         path = folder / files[record.name]
         path.parent.mkdir(parents=True, exist_ok=True)
-        drive, output = (
-            column_name(q, base_unit(u))
-            for q, u in (("voltage", record.voltage_unit), ("displacement", record.displacement_unit))
-        )
+        drive = column_name("voltage", base_unit(record.voltage_unit))
+        output = column_name("displacement", base_unit(record.displacement_unit))
         columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
         write_csv(path, columns)
     write_text_atomic(folder / PAGE, page(result))

@@ -49,7 +49,7 @@ class ProgressBar:
         self._last, self._stage = now, progress.stage
         box = "" if progress.box is None else f"  box {progress.box:.3g}"
         text = f"{progress.stage}: {progress.step}/{progress.steps}{box}  loss {progress.loss:.3g}"
-        text += f"  best {progress.best:.3g}  about {duration(progress.seconds_left)} left in this phase"
+        text += f"  best {progress.best:.3g}  at most about {duration(progress.seconds_left)} left in this phase"
         if not self._tty:
             say(text)
             return

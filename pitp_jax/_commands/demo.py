@@ -55,7 +55,7 @@ def _joint(out: str, quick: bool, json_file: str | None) -> None:
     units = {"friction": "N m", "delay": "s", "backlash": "rad"}
     rows = [(name, number(ideal[name]), number(real[name]), unit) for name, unit in units.items()]
     print_table(("what differs", "simulator", "robot", "unit"), rows)
-    print(f"{out}/{joint.SIMULATED} and {out}/{joint.ROBOT} hold the same position commands; to recover these numbers:")
+    print(f"{out}/{joint.SIMULATED} and {out}/{joint.ROBOT} hold the same position commands. To find these parameters:")
     print(
         f"  pitp diagnose {out}/{joint.ROBOT} --against {out}/{joint.SIMULATED} --position-gain {joint.POSITION_GAIN:g}"
     )

@@ -291,7 +291,8 @@ def _print_ranking(diagnosis: Diagnosis) -> None:
     """Print the best candidates; the reported effects are marked *, those tied with the first =."""
     rows = []
     for r in diagnosis.ranking[:_ROWS]:
-        mark = " *" if r.effect in diagnosis.effects else " =" if r.effect in diagnosis.equivalent else ""
+        mark = " =" if r.effect in diagnosis.equivalent else ""
+        mark = " *" if r.effect in diagnosis.effects else mark
         ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
         closed = None if r.closed_fraction is None else 100 * r.closed_fraction
         rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))

@@ -56,12 +56,12 @@ def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> 
 
 def suspects(held_out: Sequence[HeldOut]) -> list[str]:
     """Return a line for every record that models of the others do not predict."""
-    return [
-        f"{h.name}: {h.problem or f'predicted {h.predicted / h.fitted:.0f} times worse if left out of the training'}"
-        "; no other recording covers this motion: record another one like it"
-        for h in held_out
-        if h.suspect
-    ]
+    lines = []
+    for h in held_out:
+        if h.suspect:
+            why = h.problem or f"predicted {h.predicted / h.fitted:.0f} times worse if left out of the training"
+            lines.append(f"{h.name}: {why}; no other recording covers this motion: record another one like it")
+    return lines
 
 
 def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:

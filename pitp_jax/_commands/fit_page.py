@@ -80,7 +80,7 @@ _TOKENS = "Factors on the nominal model's coefficients at standstill, settled, o
 
 
 def _error(row: dict) -> float:
-    return float("inf") if row["diverged"] else row["e_rms_percent"] if row["e_rms_percent"] is not None else 0.0
+    return float("inf") if row["diverged"] else row["e_rms_percent"] or 0.0
 
 
 def _cards(model: Fitted, records, predictions, scores) -> list[str]:
@@ -148,8 +148,8 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     times = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
     longest, lines = max(r.samples * r.dt for r in records), []
     for tau, error in times:
-        note = ", not determined" if error >= _KNOWN else ", longer than the recordings" if tau > longest else ""
-        lines.append(f"{figure(tau, 2)} s{note}")
+        beyond = ", longer than the recordings" if tau > longest else ""
+        lines.append(f"{figure(tau, 2)} s{', not determined' if error >= _KNOWN else beyond}")
     return lines
 
 

@@ -77,17 +77,12 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
 
 def print_orders(identified: Identification, unit: str) -> None:
     """Print the compared orders, the chosen one marked."""
-    rows = [
-        (
-            f"{fit.order}{' *' if fit.order == identified.chosen.order else ''}",
-            number(from_base(fit.mae, unit)),
-            number(from_base(fit.rms, unit)),
-            number(fit.heldout, 3),
-            ", ".join(number(f, 3) for f in fit.natural_hz),
-            "yes" if fit.identifiable else "no",
-        )
-        for fit in identified.orders
-    ]
+    rows = []
+    for fit in identified.orders:
+        order = f"{fit.order} *" if fit.order == identified.chosen.order else f"{fit.order}"
+        errors = (number(from_base(fit.mae, unit)), number(from_base(fit.rms, unit)), number(fit.heldout, 3))
+        natural = ", ".join(number(f, 3) for f in fit.natural_hz)
+        rows.append((order, *errors, natural, "yes" if fit.identifiable else "no"))
     print_table(
         ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
     )

@@ -163,13 +163,11 @@ def write_index(folder: Path, stage: Path) -> None:
     Raises:
         BadInput: it cannot be written.
     """
-    pages = {
-        path.relative_to(home).as_posix(): path
-        for home in (folder, stage)
-        for pattern in ("*.html", "[!.]*/*.html")
-        for path in sorted(home.glob(pattern))
-        if path.name != INDEX and is_page(path)
-    }
+    pages = {}
+    for home in (folder, stage):
+        for path in [*sorted(home.glob("*.html")), *sorted(home.glob("[!.]*/*.html"))]:
+            if path.name != INDEX and is_page(path):
+                pages[path.relative_to(home).as_posix()] = path
     index = folder / INDEX
     if pages and (not index.exists() or is_page(index)):
         from .._report import html  # imported here, because matplotlib takes half a second

@@ -92,12 +92,12 @@ def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
 def _print(planned: Plan, modelled: bool) -> None:
     drive, stroke = planned.limits.units.input, planned.limits.units.limit
     print(headline(planned, modelled))
-    rows = [
-        (r.name, number(r.seconds), number(float(drive.shown(np.abs(r.voltage).max()))), number(drive.shown(r.slew)),
-         number(stroke.shown(r.stroke), 3), number(stroke.shown(r.stroke_half_damped), 3),
-         "" if np.isinf(r.go_on) else number(stroke.shown(r.go_on), 3), r.purpose)
-        for r in planned.recordings
-    ]  # fmt: skip
+    rows = []
+    for r in planned.recordings:
+        inputs = (number(float(drive.shown(np.abs(r.voltage).max()))), number(drive.shown(r.slew)))
+        expected = (number(stroke.shown(r.stroke), 3), number(stroke.shown(r.stroke_half_damped), 3))
+        bound = "" if np.isinf(r.go_on) else number(stroke.shown(r.go_on), 3)
+        rows.append((r.name, number(r.seconds), *inputs, *expected, bound, r.purpose))
     if rows:
         strokes = (
             f"stroke ({stroke.unit})",

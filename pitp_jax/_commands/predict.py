@@ -151,21 +151,13 @@ def _print_scores(result: dict, predictions: Sequence[Prediction], expected: Seq
         "expected (%)",
         "",
     )
-    rows = [
-        (
-            name,
-            number(row["e_rms_percent"], 3),
-            number(row["nrmse_percent"], 3),
-            number(row["rmse"], 3),
-            row["rmse_unit"],
-            str(row["samples"]),
-            str(row["missing"]),
-            number(100 * row["outside_training_share"], 3),
-            error,
-            "diverged" if row["diverged"] else "no motion to score" if row["e_rms_percent"] is None else "",
-        )
-        for (name, row), error in zip(result["records"].items(), shown, strict=True)
-    ]
+    rows = []
+    for (name, row), error in zip(result["records"].items(), shown, strict=True):
+        scores = (number(row[key], 3) for key in ("e_rms_percent", "nrmse_percent", "rmse"))
+        outside = number(100 * row["outside_training_share"], 3)
+        note = "no motion to score" if row["e_rms_percent"] is None else ""
+        note = "diverged" if row["diverged"] else note
+        rows.append((name, *scores, row["rmse_unit"], str(row["samples"]), str(row["missing"]), outside, error, note))
     print_table(header, rows)
     median = result["median_e_rms_percent"]
     infinite = any(row["diverged"] for row in result["records"].values())

@@ -93,10 +93,10 @@ def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
     if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
         print(f"reversed sensor (its reading decreases as the actuator extends): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
-        rows = [
-            (name, *(number(from_base(v, unit) if math.isfinite(v) else None, 4) for v in numbers))
-            for name, numbers in ((name, (b.zero, b.stderr)) for name, b in beginnings.items())
-        ]
+        rows = []
+        for name, b in beginnings.items():
+            shown = (from_base(v, unit) if math.isfinite(v) else None for v in (b.zero, b.stderr))
+            rows.append((name, *(number(v, 4) for v in shown)))
         print("sensor offset of each recording:")
         print_table(("record", f"zero ({unit})", "+-"), rows)
 

@@ -52,10 +52,11 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
             for drive, x, file in zip(drives, runs, files, strict=True):
                 _write(stage / file, drive, x, unit)
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
-    print_table(header, [
-        (name, str(row["samples"]), row["begins"], number(row["lowest"]), number(row["highest"]),
-         "diverged" if row["diverged"] else "") for name, row in rows.items()
-    ])  # fmt: skip
+    table = []
+    for name, row in rows.items():
+        reached = (number(row["lowest"]), number(row["highest"]), "diverged" if row["diverged"] else "")
+        table.append((name, str(row["samples"]), row["begins"], *reached))
+    print_table(header, table)
     if all(row["diverged"] for row in rows.values()):
         raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
 

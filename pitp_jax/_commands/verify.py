@@ -68,11 +68,10 @@ def one_joint(joint: list[str] | None) -> str:
 
 
 def _print(found: Verification) -> None:
-    rows = [
-        (p.record.name, "no" if p.held_out else "yes", "-" if p.before is None else number(p.gap(after=False), 3),
-         number(p.gap(), 3))
-        for p in found.played
-    ]  # fmt: skip
+    rows = []
+    for p in found.played:
+        before = "-" if p.before is None else number(p.gap(after=False), 3)
+        rows.append((p.record.name, "no" if p.held_out else "yes", before, number(p.gap(), 3)))
     print_table(("recording", "used by the diagnosis", "gap before (%)", "gap after (%)"), rows)
     for line in found.lines():
         print(line)

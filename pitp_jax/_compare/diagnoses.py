@@ -23,12 +23,11 @@ def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
     closed = [{"share": d["gap"].get("closed_fraction"), "ci95": d["gap"].get("ci95")} for d in (a, b)]
     rows.append(_portion("fraction of the gap that is closed", *closed))
     rows += _budget(a.get("budget") or {}, b.get("budget") or {})
-    remarks = [
-        f"{name}: these recordings do not separate {d['effects'][0] if d['effects'] else 'the best candidate'} from "
-        f"{', '.join(d['equivalent'])}."
-        for name, d in zip(names, (a, b), strict=True)
-        if d.get("equivalent")
-    ]
+    remarks = []
+    for name, d in zip(names, (a, b), strict=True):
+        if d.get("equivalent"):
+            first, others = d["effects"][0] if d["effects"] else "the best candidate", ", ".join(d["equivalent"])
+            remarks.append(f"{name}: these recordings do not separate {first} from {others}.")
     return Comparison("diagnoses", names, tuple(r for r in rows if (r.a, r.b) != (None, None)), tuple(remarks))
 
 

@@ -39,14 +39,11 @@ def _first(result: Comparison) -> list[str]:
 
 def _table(result: Comparison, rows: tuple[Difference, ...]) -> str:
     header = ("quantity", *result.names, "unit", "95 % interval of the difference", "differs")
-    cells = [
-        ("named" if r.differs else "", (
-            r.what, _shown(r.a), _shown(r.b), shown_unit(r.unit),
-            "–" if r.ci95 is None else " to ".join(figure(end) for end in r.ci95),
-            "not known" if r.differs is None else "yes" if r.differs else "no",
-        ))
-        for r in rows
-    ]  # fmt: skip
+    answers, cells = {None: "not known", True: "yes", False: "no"}, []
+    for r in rows:
+        interval = "–" if r.ci95 is None else " to ".join(figure(end) for end in r.ci95)
+        values = (r.what, _shown(r.a), _shown(r.b), shown_unit(r.unit), interval, answers[r.differs])
+        cells.append(("named" if r.differs else "", values))
     return html.table(header, cells, {0: "long", 3: "left"})
 
 

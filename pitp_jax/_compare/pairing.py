@@ -202,11 +202,11 @@ class _Table:
 
     def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
         """Return the groups of the second set among which the responses decided."""
-        groups = {
-            tuple(np.flatnonzero(row).tolist())
-            for i, row in enumerate(self.near)
-            if any((i, j) not in chosen for j in np.flatnonzero(row).tolist())
-        }
+        groups = set()
+        for i, row in enumerate(self.near):
+            group = tuple(np.flatnonzero(row).tolist())
+            if any((i, j) not in chosen for j in group):
+                groups.add(group)
         return tuple(tuple(self.others[j].name for j in group) for group in sorted(groups) if len(group) > 1)
 
     def undecided(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:

@@ -61,7 +61,7 @@ def _of_signs(pairing: "Pairing", second: str) -> list[str]:
     keys = [key for key, turned in (("input-scale", command), ("output-scale", output)) if turned]
     if not keys or not pairing.pairs:
         return []
-    what = "command and output" if len(keys) == 2 else "command" if command else "output"
+    what = " and ".join(word for word, turned in (("command", command), ("output", output)) if turned)
     rho = min(p.correlation for p in pairing.pairs)
     told = f" (correlation of the commands {rho:.3f})" if command else ""
     return [

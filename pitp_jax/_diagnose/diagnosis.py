@@ -225,8 +225,10 @@ def diagnose(
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
-    limit.begin("judging the best set")
-    decision, (handed, made, names_back) = _judged(search, decide(search, own, noise, distinct), model, records, before)
+    limit.begin("comparing the best set")
+    decision, (handed, made, names_back) = _checked(
+        search, decide(search, own, noise, distinct), model, records, before
+    )
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
@@ -252,7 +254,7 @@ def diagnose(
     if decision.verdict != "no_gap":
         experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
-    limit.begin("judging each part")
+    limit.begin("comparing each part")
     try:
         parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     except KeyboardInterrupt:  # rivals not searched are left out; a second interrupt ends the diagnosis
@@ -325,7 +327,7 @@ def _searched_without_shift(
     return found, early, records
 
 
-def _judged(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
+def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
     """Return the decision and what is handed back; no effect is reported whose model is not handed back."""
     handed = hand_back(search, decision, model, records, before)
     why, ranges = "", spans(search)

@@ -38,11 +38,13 @@ def hand_back(
     # a set that is not judged may predict better than the judged one
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
-    if decision.verdict != "explained":
+    if decision.verdict in ("partly", "unknown"):
         chosen, said = decision.chosen.evidence.bare, set(decision.said)
         sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]
         tried = [*sure[:3], *tried]
-    tried += [h for h in search.level(1)[:2] if h not in tried] + [search.base, search.linear]
+    if decision.verdict != "no_gap":  # without a gap an effect would fit noise
+        tried += [h for h in search.level(1)[:2] if h not in tried]
+    tried += [search.base, search.linear]
     for h in tried:
         if not h.fit.free or SHIFT.name in h.names or probability(h.evidence.bare, given) < rules.SURE:
             continue

@@ -327,7 +327,7 @@ class Search:
             if len(best) == _RANKED and errors[id(fits[0])] >= best[-1].rms:
                 break
             count = max(_RANKED - len(best), 1)
-            if not self.budget.allows(f"hypotheses of {depth} effects out of fold"):
+            if not self.budget.allows(f"hypotheses of {depth} effect{'s' * (depth > 1)} out of fold"):
                 break
             self._settle(fits[:count])
             fits = fits[count:]
@@ -412,11 +412,10 @@ class Search:
             return front.anew(names=(*front.names, PARAMETERS), free=free, slots=slots)
         for k, v in form.start.items():
             slots[INDEX[k]] = v
-        # added stiffness is first subtracted from the core, so that the start is as stiff as the base
-        stiff = 1 + form.stiffness
         free = tuple(dict.fromkeys((*front.free, *form.free)))
-        if stiff > 1.05 and "a0" in free:
-            slots[:3] /= stiff
+        # added stiffness is first subtracted from the core's, so that the start is as stiff as the base
+        if "a0" in free:
+            slots[0] /= max(1 + form.stiffness, 1.0)
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
@@ -453,6 +452,11 @@ class Search:
             kept = min(good, key=lambda h: h.evidence.bare.rms)
             left = [k for k in left if k in kept.fit.free]
         self.every[frozenset(best.names)] = kept
+        # a single one that is an effect of its own, such as the mass
+        for name in {f.name for f in self.library if f.name in LONE and [*f.start] == left} - {*kept.names}:
+            names = tuple(name if n == PARAMETERS else n for n in kept.names)
+            fit = replace(kept.fit, names=names)
+            self.every[frozenset(names)] = replace(kept, fit=fit, labels=self.labels(fit))
 
     def _put_back(self, fit: Fit, name: str) -> Fit:
         slots = fit.slots.copy()

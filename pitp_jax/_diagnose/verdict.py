@@ -1,7 +1,7 @@
 """The verdict: which effects of the last significant hypothesis are reported, with which ties, and how certain.
 
-no_gap     the nominal's error is at most OWN times that on its own records; or no set, nor the reference, reduces
-           its error by the fraction GAIN
+no_gap     the nominal's error is at most OWN times that on its own records; or the refitted nominal's that of the
+           sensor's noise, and neither a set nor the reference is better by 1 - FIRST with P >= SURE
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
            are tied) and a flexible model, added to the hypothesis, closes nothing more
 partly     the same, but an added flexible model closes more
@@ -84,9 +84,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
-        # nothing improves the fit, including the reference
-        gains = [h.rms for h in search.every.values()] + [bar.rms]
-        if base.rms <= rules.OWN * noise and min(gains) > (1 - rules.GAIN) * base.rms:
+        # at the noise, and nothing improves the fit significantly, including the reference
+        least = min((bar, *(h.evidence for h in search.every.values())), key=lambda e: e.score)
+        if base.rms <= rules.OWN * noise and probability(least, base.evidence, rules.FIRST) < rules.SURE:
             return answer("no_gap", reason="The remaining error is the sensor's noise.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
     p, rivals, taken = {}, {}, closing_fractions(search, chosen)

@@ -36,7 +36,7 @@ def _by_give(p, k, plant):
 def _branch(name: str, title: str, **how) -> EffectSpec:
     return EffectSpec(
         name, "one branch", _BRANCH, title, "f = k kappa (x - z), tau z' = x - z", "viscoelastic", "K",
-        kernel=lag(), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]), reported=_by_time, **how,
+        kernel=lag(), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]), reported=_by_time, stiffens=True, **how,
     )  # fmt: skip
 
 

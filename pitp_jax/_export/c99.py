@@ -61,14 +61,12 @@ def write_sources(plan: Plan, folder: Path) -> None:
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
     # written first, because helpers and tables that precede them in the file are known only afterwards
-    functions = "\n".join(
-        writer.function(f"{what}_{part}", code, states, outputs)
-        for what, written, count in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2))
-        for part, code, states, outputs in (
-            ("start", written.start, 0, 0),
-            ("core", written.run, written.states, count),
-        )
-    )
+    written = []
+    for what, step, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
+        written.append(writer.function(f"{what}_start", step.start, 0, 0))
+        written.append(writer.function(f"{what}_core", step.run, step.states, outputs))
+    functions = "\n".join(written)
+    root = "sqrtf(kept)" if plan.single else "sqrt(kept)"
     values["functions"], values["beside"] = functions, "\n".join(writer.beside)
     values["helpers"] = writer.helpers(functions + values["beside"])
     square, n = plan.model.input_map.one_sided, plan.model.order
@@ -77,7 +75,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
         "units": table(writer, plan.reference_time ** -np.arange(n + 1.0)).strip(),
         "sign": writer.number(float(sign(plan.model))), "sensor": writer.number(float(direction(plan.model))),
         "force_of": "u * u" if square else "u",
-        "voltage_of": ("sqrtf(kept)" if plan.single else "sqrt(kept)") if square else "kept",
+        "voltage_of": root if square else "kept",
     }  # fmt: skip
     (folder / f"{values['id']}.c").write_text(filled("model.c", values), encoding="utf-8")
 

@@ -108,13 +108,9 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
         begin = "" if start is None else f' start="{start!r}"'
         fields = {"name": word, "unit": unit, "text": text, "causality": causality, "start": begin, "vr": str(k)}
         variables += filled(f"fmi{fmi}_variable.xml", fields)
-    units = "".join(
-        f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>\n'
-        for unit, base in dict.fromkeys(
-            [(drive, _base(units.input)), ("s", 's="1"')]
-            + [(row[1], _base(units.si, i)) for i, row in enumerate(named)]
-        )
-    )
+    bases = [(drive, _base(units.input)), ("s", 's="1"')]
+    bases += [(row[1], _base(units.si, i)) for i, row in enumerate(named)]
+    units = "".join(f'    <Unit name="{unit}"><BaseUnit {base}/></Unit>\n' for unit, base in dict.fromkeys(bases))
     # the token must change with anything an importer compiled against, and with nothing else
     text = "".join((filled("fmu.c", {}), *values.values(), str(fmi)))
     stubs = "".join(

@@ -134,13 +134,14 @@ def _number(array: np.ndarray, equation) -> jax.Array:
 
 def _converted(make, params, args, equation):
     kind = np.dtype(params["new_dtype"]).kind
+    number = {"f": float, "b": bool}.get(kind, int)
 
     def convert(value):
         if isinstance(value, Node):
             if kind == "b":
                 return value if value.truth else make.make("ne", value, 0.0)
             return make.make("real", value) if value.truth else value
-        return float(value) if kind == "f" else bool(value) if kind == "b" else int(value)
+        return number(value)
 
     return [_each(convert, args)]
 

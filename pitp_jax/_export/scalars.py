@@ -179,16 +179,15 @@ def _simpler(op: str, args: tuple):
     0 times a node is 0, because `steps` rejects inputs that are not finite.
     """
     first, last = args[0], args[-1]
-    if op == "mul":  # an effect that is off, a weight of zero: whole branches of a step disappear
-        if _is(first, 0) or _is(last, 0):
-            return 0.0
-        return last if _is(first, 1) else first if _is(last, 1) else None
-    if op == "add":
-        return last if _is(first, 0) else first if _is(last, 0) else None
-    if op == "sub":
-        return first if _is(last, 0) else _NEGATIVE if _is(first, 0) else None
-    if op == "div":
-        return 0.0 if _is(first, 0) else first if _is(last, 1) else None
+    # an effect that is off, a weight of zero: whole branches of a step disappear
+    if op in ("mul", "div") and _is(first, 0) or op == "mul" and _is(last, 0):
+        return 0.0
+    if op == "mul" and _is(first, 1) or op == "add" and _is(first, 0):
+        return last
+    if op in ("mul", "div") and _is(last, 1) or op in ("add", "sub") and _is(last, 0):
+        return first
+    if op == "sub" and _is(first, 0):
+        return _NEGATIVE
     if op in ("and", "or") and (isinstance(first, bool) or isinstance(last, bool)):
         known, other = (first, last) if isinstance(first, bool) else (last, first)
         return other if known == (op == "and") else known

@@ -260,7 +260,7 @@ def _determined(
         chosen = choose(candidates)
         # a delay or block means hide which hold it is
         open_hold = chosen.structure.delayed or small.fine < small.dt
-        holds: Sequence[Hold] = (hold,) if hold else _HOLDS if open_hold else (chosen.structure.hold,)
+        holds: Sequence[Hold] = _HOLDS if open_hold and not hold else (hold or chosen.structure.hold,)
         chosen = _refined(chosen, whole, holds, bandlimited=hold is None)
         fit = describe(chosen, whole)
         candidates = [c for c in candidates if c.structure.order != fit.order]

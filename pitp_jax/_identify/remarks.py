@@ -91,8 +91,9 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
 def _weak(fit: OrderFit) -> list[str]:
     """Return lines on coefficients without influence and on the least certain combination of the others."""
     relative = fit.stderr / np.abs(fit.coefficients)
-    hidden = {0} if fit.integrates else {1} if fit.static else set()
     # an unknown coefficient of these two kinds has a remark of its own
+    hidden = {1} if fit.static else set()
+    hidden = {0} if fit.integrates else hidden
     without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
     names = ", ".join(f"a{i}" for i in without)
     said = [f"Not known, because without influence on these recordings: {names}."] if without else []

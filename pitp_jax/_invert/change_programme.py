@@ -24,7 +24,6 @@ _STAGES = 4000  # about, as long as a stage is shorter than the resonance's peri
 _PER_PERIOD = 40  # divided by this number
 _FLOOR = 0.03  # of U: the lowest film voltage of a linearisation
 _FREE = 4.0  # a bound in units of U that is never active
-_SLACK = 0.02  # of U, initially
 _MARGIN = 1e-3  # of the limit on the displacement
 
 
@@ -75,7 +74,7 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
     cut = _Cut(_padded(-(-count // length)), length)
     seen = _readings(model, wish, now, cut, late)
     programme = _programme(wish, now, cut, late, size, rho, *seen)
-    z = np.asarray(solve_stage_qp(programme, _SLACK)[0])[1:]
+    z = solve_stage_qp(programme)[1:]
     # the last two entries of z: the change c at a stage's first sample, and its slope d
     change = (z[:, -2, None] + np.arange(length) * z[:, -1, None]).reshape(-1)[:count]
     return change * wish.unit
@@ -128,17 +127,17 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
         return np.concatenate([np.zeros((1, *values.shape[1:])), values])
 
     return StageQP(
-        A=jnp.asarray(after_none(onward)),
-        Q=jnp.asarray(after_none(np.einsum("kjn,kjm->knm", C, C))),
-        q=jnp.asarray(after_none(np.einsum("kjn,kj->kn", C, missed))),
-        b=jnp.asarray(np.append(bends, 0.0)),
-        rho=jnp.asarray(rho),
-        G=jnp.asarray(after_none(G)),
-        low=jnp.asarray(np.concatenate([-free, low])),
-        high=jnp.asarray(np.concatenate([free, high])),
-        g=jnp.asarray(after_none(cut.length * inside)),
-        h=jnp.asarray(after_none(cut(rise, 0.0).sum(1))),
-        budget=jnp.asarray(wish.budget / wish.unit),
+        A=after_none(onward),
+        Q=after_none(np.einsum("kjn,kjm->knm", C, C)),
+        q=after_none(np.einsum("kjn,kj->kn", C, missed)),
+        b=np.append(bends, 0.0),
+        rho=rho,
+        G=after_none(G),
+        low=np.concatenate([-free, low]),
+        high=np.concatenate([free, high]),
+        g=after_none(cut.length * inside),
+        h=after_none(cut(rise, 0.0).sum(1)),
+        budget=wish.budget / wish.unit,
     )
 
 

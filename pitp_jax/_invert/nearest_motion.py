@@ -32,7 +32,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
         wish: the motion and the limits.
         first: a voltage within the limits of range and slew to begin with.
     """
-    # an interior point divides by slacks near zero, which float32 would lose beside voltages of order one
+    # float32 would lose small changes beside voltages of order one
     with jax.enable_x64(True):
         model = in_double(model)
         now = play(model, first, wish.dt, wish.start)

@@ -58,7 +58,8 @@ def at_slower_rate(target: Target, rate: float | None) -> Target:
     if count <= _DEGREE or len(target.time) <= _DEGREE:
         raise BadInput(f"--rate {rate:g} Hz gives only {count} samples of the target; raise it")
     time = target.time[0] + np.arange(count) / rate
-    spline = make_interp_spline(target.time, target.displacement, k=_DEGREE)
+    # the spline's values are not decimals, so the rounding of the file could not be recognised afterwards
+    spline = make_interp_spline(target.time, without_rounding(target, _DEGREE).displacement, k=_DEGREE)
     # rounding may put the last time after the target's end, where a spline of degree 5 diverges
     return replace(target, time=time, displacement=spline(np.minimum(time, target.time[-1])))
 

@@ -88,10 +88,8 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         written.add("sensor_lag tau")
     left = [NotWritten(p.words, _value(p), _WAYS.get(name, "none")) for name, p in rows.items() if name not in written]
     if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
-        left = [
-            replace(n, way="write the motor as <general> with dyntype and dynprm") if n.way == "none" else n
-            for n in left
-        ]
+        way = "write the motor as <general> with dyntype and dynprm"
+        left = [replace(n, way=way) if n.way == "none" else n for n in left]
     return found, left, element
 
 
@@ -115,7 +113,7 @@ def _with_weight(
 
 def _is_known(p: Parameter) -> bool:
     """Return whether a parameter has a known difference, larger than two standard errors."""
-    return bool(p.difference) and (p.stderr is None or abs(p.difference) > 2 * p.stderr)
+    return bool(p.difference) and (p.stderr is None or bool(abs(p.difference) > 2 * p.stderr))
 
 
 def _value(p: Parameter) -> str:
@@ -214,7 +212,8 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
     if above is None and below is None:
         return []
     low, high = joint.limits or (-_TURN, _TURN)
-    low, high = -abs(below.robot) if below else low, above.robot if above else high
+    low = -abs(below.robot) if below else low
+    high = above.robot if above else high
     unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
     new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
     old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)

@@ -25,14 +25,13 @@ def page(found: Verification, drawn: Mapping[str, Figure]) -> str:
     headline = "The changed file is closer to the robot" if found.better else "The gap in MuJoCo"
     if found.better is False:
         headline = "The changed file is not closer to the robot"
-    rows = [
-        ("named" if p.held_out else "", (
-            p.record.name, "no" if p.held_out else "yes",
-            "–" if p.before is None else f"{figure(p.gap(after=False))} %", f"{figure(p.gap())} %",
-        ))
-        for p in found.played
-    ]  # fmt: skip
-    bold = " Bold: not used by the diagnosis." if any(p.held_out for p in found.played) else ""
+    rows = []
+    for p in found.played:
+        look, used = ("named", "no") if p.held_out else ("", "yes")
+        before = "–" if p.before is None else f"{figure(p.gap(after=False))} %"
+        rows.append((look, (p.record.name, used, before, f"{figure(p.gap())} %")))
+    is_any_held_out = any(p.held_out for p in found.played)
+    bold = " The diagnosis did not use the recordings in bold." if is_any_held_out else ""
     header = ("recording", "used by the diagnosis", "gap before", "gap after")
     pictures = [
         html.picture(f"recording_{k}", drawing, f"{name}: robot and MuJoCo under the same command")

@@ -55,7 +55,7 @@ class Written:
         """Return the result as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
-        left = [f"not written: {n.words}, {n.value}; nearest way: {n.way}" for n in self.left]
+        left = [f"no attribute for {n.words}, {n.value}; nearest substitute: {n.way}" for n in self.left]
         return [*said, *left, *self.remarks]
 
     def as_json(self) -> dict[str, Any]:

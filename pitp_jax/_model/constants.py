@@ -69,5 +69,7 @@ def _is_constant(part) -> bool:
 
 
 def _as_arrays(part):
+    if not _is_constant(part):
+        return part
     # the structure stays, so that a part from `eqx.partition` still fits its other half
-    return jax.tree.map(lambda v: np.float64(v) if type(v) is float else v, part) if _is_constant(part) else part
+    return jax.tree.map(lambda v: np.float64(v) if type(v) is float else v, part)

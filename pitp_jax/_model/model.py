@@ -216,7 +216,8 @@ def linear_model(
     coefficients, input_map = np.asarray(coefficients, np.float64), input_map or SquareInput()
     if force_scale is None:
         highest = np.abs(domain.voltage_range).max()
-        known = highest if np.isfinite(highest) and highest > 0 else 1e3 if input_map.one_sided else 1.0
+        usual = 1e3 if input_map.one_sided else 1.0
+        known = highest if np.isfinite(highest) and highest > 0 else usual
         force_scale = float(input_map.force(np.asarray(known, float)))
     if state_scale is None:
         powers = (dominant_frequency(coefficients) or 1 / domain.dt) ** np.arange(len(coefficients))

@@ -78,14 +78,12 @@ def _table(plan: Plan) -> str:
         f"stroke ({stroke.unit})", f"with half the damping ({stroke.unit})",
         "play only if no earlier stroke exceeded", "purpose",
     )  # fmt: skip
-    rows = [
-        ("", (
-            r.name, r.kind, figure(r.seconds), figure(r.rest), figure(float(drive.shown(np.abs(r.voltage).max()))),
-            figure(drive.shown(r.slew)), figure(stroke.shown(r.stroke)), figure(stroke.shown(r.stroke_half_damped)),
-            "–" if r.go_on == np.inf else f"{figure(stroke.shown(r.go_on))} {stroke.unit}", r.purpose,
-        ))
-        for r in plan.recordings
-    ]  # fmt: skip
+    rows = []
+    for r in plan.recordings:
+        inputs = (float(drive.shown(np.abs(r.voltage).max())), drive.shown(r.slew))
+        numbers = (r.seconds, r.rest, *inputs, stroke.shown(r.stroke), stroke.shown(r.stroke_half_damped))
+        bound = "–" if r.go_on == np.inf else f"{figure(stroke.shown(r.go_on))} {stroke.unit}"
+        rows.append(("", (r.name, r.kind, *(figure(v) for v in numbers), bound, r.purpose)))
     return html.telling_table(header, rows, {1: "left", 9: "long"})
 
 

@@ -245,7 +245,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
     low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
     one_sided = model is None or model.input_map.one_sided
     # behind a square a negative voltage gives the same force as a positive one
-    high, low = max(high, -low) if one_sided else high, 0.0 if one_sided else min(low, 0.0)
+    low, high = (0.0, max(high, -low)) if one_sided else (min(low, 0.0), high)
     if max_voltage is not None:
         high, low = max_voltage, max(low, -max_voltage)
     if band is None and model is not None:

@@ -150,7 +150,7 @@ class Cells:
         """Return the nearest trained frequencies (Hz) below and above these bands at an amplitude, or None."""
         well = (TOLERANCE * self.reached >= amplitude) & (self.part >= _NAMED)
         down, up = self.hz[well & (self._numbers < low)], self.hz[well & (self._numbers > high)]
-        return float(down[-1]) if len(down) else None, float(up[0]) if len(up) else None
+        return next(map(float, down[::-1]), None), next(map(float, up), None)
 
     def full(self) -> tuple[float, float, float]:
         """Return the largest amplitude (base unit), and the lowest and highest frequency (Hz) trained with it."""

@@ -172,12 +172,36 @@ def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
     return values[best], errors[best], record.span
 
 
-def standing_drive(record: Record) -> tuple[int, float]:
+def beginning_of(record: Record, ahead: int, span: float) -> Record:
+    """Return the record until `ahead` samples after its input first changes: what follows does not decide its start.
+
+    Args:
+        record: in base units.
+        ahead: samples.
+        span: range of the inputs that the model was made with, V.
+    """
+    size = ahead
+    # noise and level of the first samples alone, and of twice as many while the input stands
+    while size < record.samples and standing_drive(_first(record, size), span)[0] == size:
+        size *= 2
+    stands = standing_drive(_first(record, size), span)[0] if size < record.samples else record.samples
+    return _first(record, max(stands, first_known(record)) + ahead)
+
+
+def _first(record: Record, samples: int) -> Record:
+    if samples >= record.samples:
+        return record
+    parts = {name: getattr(record, name)[:samples] for name in ("time", "voltage", "displacement")}
+    return replace(record, **parts)
+
+
+def standing_drive(record: Record, span: float | None = None) -> tuple[int, float]:
     """Return how many first samples have a constant input, and its level (V); exactly 0 if within its noise.
 
-    It is constant within 0.1 % of its range, or within six noise deviations (of a monitor), at most 2 %.
+    It is constant within 0.1 % of its range (or of `span`, V), or within six noise deviations (of a monitor), at most
+    2 %.
     """
-    noise, span = noise_std(record.voltage), float(np.ptp(record.voltage))
+    noise, span = noise_std(record.voltage), float(np.ptp(record.voltage)) if span is None else span
     moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
     count = int(np.argmax(moved)) if moved.any() else record.samples
     level = float(np.median(record.voltage[: max(count, 1)]))

@@ -415,13 +415,14 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
         "findings": remarks,
         "options": _beside(one.options, path).said(),
     }
-    return [
-        Record(
-            f"{name}.{k}" if many else name, piece.time, piece.voltage, piece.displacement, drive, unit,
-            os.fspath(path), {**seen, "lost": piece.lost, **({} if k == 1 else {"remarks": [], "findings": []})},
-        )
-        for k, piece in enumerate(put.pieces, 1)
-    ]  # fmt: skip
+    records = []
+    for k, piece in enumerate(put.pieces, 1):
+        own = seen | {"lost": piece.lost}
+        if k > 1:  # the remarks are listed once
+            own |= {"remarks": [], "findings": []}
+        signals = (piece.time, piece.voltage, piece.displacement)
+        records.append(Record(f"{name}.{k}" if many else name, *signals, drive, unit, os.fspath(path), own))
+    return records
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:

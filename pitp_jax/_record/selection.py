@@ -36,7 +36,7 @@ def select_range(one: Loaded) -> Loaded:
     outside = np.flatnonzero((time < begin - slack) | (time > end + slack))
     # a row without a time stays, and is refused as in a file cut by hand
     inside = np.setdiff1d(np.arange(within[0], within[-1] + 1), outside) if len(within) else within
-    words = f"{0.0 if first is None else first:.6g} s to {'its end' if last is None else f'{last:.6g} s'}"
+    words = f"{first or 0.0:.6g} s to {'its end' if last is None else f'{last:.6g} s'}"
     if not len(inside):
         raise BadInput(
             f"{one.table.source}: no row from {words}, because its rows last {np.nanmax(time):.6g} s; give --from and "

@@ -100,7 +100,9 @@ def some_periods(values: np.ndarray) -> slice:
 def over(values: np.ndarray) -> dict:
     """Return the style of a line over another: dashed if dashes are visible, transparent if it fills a band."""
     turns = np.count_nonzero(np.diff(np.diff(values) > 0))
-    return {"ls": "--"} if turns < 25 else {"alpha": 0.6} if turns > 200 else {}
+    if turns < 25:
+        return {"ls": "--"}
+    return {"alpha": 0.6} if turns > 200 else {}
 
 
 def shown(unit: str, *signals) -> list[np.ndarray]:

@@ -25,6 +25,7 @@ from .._record.initial_state import (
     INITIAL_SAMPLES,
     Beginning,
     Begins,
+    beginning_of,
     first_states,
     is_still,
     noise_std,
@@ -90,6 +91,7 @@ def beginnings(
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
     """Return how every record starts, and its state if at rest or held (None: moving)."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
+    records = [beginning_of(r, _AHEAD, _span(model, r)) for r in records]
     # Nothing changes while input and reading are constant, so a run from the end of that stretch equals the whole run.
     settled = [settled_samples(r, model.natural_frequency) for r in records]
     first = [
@@ -106,6 +108,12 @@ def beginnings(
         for r, k, stands, *rows in zip(records, first, settled, *x, strict=True)
     ]
     return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
+
+
+def _span(model: Model, record: Record) -> float:
+    """Return the range of the inputs that the model was made with, V; the record's own if it is not known."""
+    low, high = model.domain.voltage_range
+    return high - low if np.isfinite(high - low) and high > low else float(np.ptp(record.voltage))
 
 
 def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], begin: int, settled: bool) -> Beginning:
@@ -147,7 +155,8 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
     at_zero = starts_at_rest(record, zero, omega)
     if at_zero and not settled and begins == "held" and scores["held", direction] > _HALF * scores["rest", direction]:
         begins = "rest"
-    enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
+    usual = 2 * np.sqrt(2) * float(model.scales.state[0])  # range of a sine with the deviation of the training records
+    enough = max(3 * noise, 0.002 * max(span, usual), _EXPLAINED * float(np.nanstd(y[:seen])))
     if not (at_zero or settled) and scores[begins, direction] > enough:
         return Beginning("moving", polarity, zero, float("inf"))
     if begins == "rest":

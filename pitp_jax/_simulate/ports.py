@@ -44,10 +44,9 @@ def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " stat
     parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array if no effect has states
     y = x  # the input of a sensor's effect: the reading of the one before it
     for effect in model.effects:
-        sensor = effect.port == "OUT"
-        held = effect.start(voltage if effect.port == "IN" else y if sensor else x, age)
+        held = effect.start({"IN": voltage, "OUT": y}.get(effect.port, x), age)
         parts.append(effect.resumed(held, reached))
-        y = effect.apply(y, parts[-1]) if sensor else y
+        y = effect.apply(y, parts[-1]) if effect.port == "OUT" else y
     return jnp.concatenate([p.astype(parts[0].dtype) for p in parts])
 
 

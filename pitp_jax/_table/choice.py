@@ -143,7 +143,8 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         why = "; ".join(str(ask) for ask in problems.values())
         words = _suggested(table, seen, pools, chosen, problems, options, quantities)
         stems = [f"--{OPTIONS[q]}-column{' or --rate HZ' if q == 'time' else ''}" for q in problems]
-        hint = f"; the file says {table.hint}" if table.hint else "" if words else f"; give {', '.join(stems)}"
+        hint = "" if words else f"; give {', '.join(stems)}"
+        hint = f"; the file says {table.hint}" if table.hint else hint
         raise Refused(table.source, why + hint, words, f"columns here: {listed(table.columns)}")
     return chosen
 

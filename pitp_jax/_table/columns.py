@@ -122,12 +122,10 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
     for other, choices in good:
         if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
             two = [", ".join(f"{OPTIONS[q]} {c}" for q, c in one.items()) for one in (chosen, choices)]
-            words = [
-                word
-                for q, c in chosen.items()
-                if c.place is not None
-                for word in (f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit)
-            ]
+            words = []
+            for q, c in chosen.items():
+                if c.place is not None:
+                    words += [f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit]
             raise Refused(
                 table.source, f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words
             )

@@ -163,7 +163,8 @@ def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str
         filled = [row[k] for row in block if row[k]]
         numbers = sum(is_number(cell, decimal) for cell in filled)
         hours = sum(is_stamp(cell) for cell in filled)
-        forms.append("number" if 2 * numbers >= len(filled) else "stamp" if 2 * hours > len(filled) else "text")
+        other = "stamp" if 2 * hours > len(filled) else "text"
+        forms.append("number" if 2 * numbers >= len(filled) else other)
     return forms
 
 
@@ -190,7 +191,7 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         good = [k for k in good if k >= full]
     # two rows of numbers in sequence start the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
-    return pairs[0] if pairs else good[0] if good else None
+    return next(iter(pairs or good), None)
 
 
 def _counts_samples(row: Sequence[str]) -> bool:
@@ -285,9 +286,12 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     hint = ", ".join(names[m] for m in empty)  # `tInc = 0.001` over no numbers is a setting
     named = _with_names(bare, ["" if m in empty else name for m, name in enumerate(names)], units, rows, first)
     above = sum(1 for m in range(k) if any(rows.cells[m]))
-    notes += ["units row"] if units and list(units) != rows.cells[k] else []
-    notes += [f"{above} line{'s' if above > 1 else ''} above the header"] if above else []
-    notes += ["header in a comment"] if rows.commented[k] else []
+    if units and list(units) != rows.cells[k]:
+        notes.append("units row")
+    if above:
+        notes.append(f"{above} line{'s' if above > 1 else ''} above the header")
+    if rows.commented[k]:
+        notes.append("header in a comment")
     return replace(named, notes=tuple(notes), hint=hint)
 
 

@@ -120,7 +120,7 @@ class ReadOptions:
             "".encode(self.encoding or "utf-8")
         except LookupError:
             problems.append(
-                f"--encoding {cleaned(self.encoding)!r} is not known; utf-8, cp1252, cp932, gb18030, cp1251, ..."
+                f"--encoding {cleaned(self.encoding)!r} is not known; use utf-8, cp1252, cp932, gb18030, cp1251, ..."
             )
         return problems
 
@@ -153,15 +153,19 @@ def _words(value: Any) -> list[str]:
 
 
 def folder_file(said: dict[str, dict[str, Any]]) -> str:
-    """Return the text of a `pitp.toml` that states these options for each file.
+    """Return the text of a `pitp.toml` that states these options, once if all files share them.
 
     Args:
         said: options by file name.
     """
+    sections = {escape(name): options for name, options in said.items()}
+    endings, first = {Path(name).suffix for name in said}, next(iter(said.values()), {})
+    if len(said) > 1 and len(endings) == 1 and "join" not in first and all(o == first for o in said.values()):
+        sections = {f"*{endings.pop()}": first}
     lines = ["# put beside the sources as pitp.toml, this reads them as pitp check did"]
-    for name, options in said.items():
+    for pattern, options in sections.items():
         values = [f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in options.items()]
-        lines += ["", f"[{json.dumps(escape(name), ensure_ascii=False)}]", *values]
+        lines += ["", f"[{json.dumps(pattern, ensure_ascii=False)}]", *values]
     return "\n".join(lines) + "\n"
 
 

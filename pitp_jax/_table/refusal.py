@@ -71,11 +71,11 @@ def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) 
         kinds.setdefault(key, []).append(refusal.source if curable else source)
     before = f"{len(refusals)} of {files} files are refused: "
     (why, options, aside), sources = next(((k, s) for k, s in kinds.items() if k[1]), next(iter(kinds.items())))
-    others = [
-        f" | {os.path.basename(some[0])}{f' and {len(some) - 1} more' if len(some) > 1 else ''}: {key[0]}"
-        for key, some in kinds.items()
-        if some is not sources
-    ]
+    others = []
+    for key, some in kinds.items():
+        if some is not sources:
+            more = f" and {len(some) - 1} more" if len(some) > 1 else ""
+            others.append(f" | {os.path.basename(some[0])}{more}: {key[0]}")
     given = [cleaned(path) for path in paths] if len(kinds) == 1 else sources
     given = given if len(given) <= 3 else given[:3]
     bare = composed(sources, why, options, "", given, before)

@@ -32,7 +32,8 @@ def result_line(d) -> str:
     """Return a line on the returned model's reduction of the error, out of sample."""
     g = d.gap
     if d.verdict == "no_gap":
-        return f"The nominal model is handed back: its error, {of_range(g.before)} of range, is its own."
+        which = "refitted nominal model" if d.handed_back else "nominal model"
+        return f"The {which} is handed back: its error, {of_range(g.before)} of range, is its own."
     where = "held-out recordings" if d.heldout else "left-out parts of the recordings"
     where = "all recordings" if d.pieces is not None else where
     if not d.handed_back:
