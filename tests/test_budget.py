@@ -45,6 +45,17 @@ def test_a_line_every_few_seconds_says_what_is_left(monkeypatch):
     ]
 
 
+def test_no_time_left_is_printed_while_programs_are_compiled(monkeypatch):
+    """A thousandth of the steps in six seconds of compiling would give 6000 s."""
+    now, lines = [0.0], []
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    budget = Budget(most=1e7, progress=lines.append, began=0.0)
+    for steps in (10_000, 4_990_000):
+        now[0] += 6.0
+        budget.count(steps)
+    assert ["left" in line for line in lines] == [False, True]
+
+
 def test_the_option_is_proposed_only_where_the_counted_work_is_the_bound(monkeypatch):
     """Few recordings end by themselves: their deepest search is shorter than what may be counted."""
     now, lines = [0.0], []

@@ -152,7 +152,8 @@ def test_the_page_says_what_to_do_next_and_decides_by_the_verdicts_thresholds(ex
     text = read(explained)[1]
     assert "Next: predict and invert with model_augmented" in text
     assert "Next: play and record next_experiment.csv" in read(tied(explained))[1]
-    assert "Next: predict and invert with this model" in read(no_gap(explained))[1]
+    linear = read(no_gap(explained))[1]
+    assert "Next: predict and invert with this model" in linear and "train it with `pitp fit`" in linear
     assert "Next: check " in read(unknown)[1]
     assert f"at most {rules.OWN:g} times" in text and f"P of at least {rules.SURE:g}" in text
 

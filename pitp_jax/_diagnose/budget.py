@@ -14,6 +14,7 @@ import numpy as np
 SEARCH_STEPS = 400_000_000  # simulated steps of a search: about 60 CPU s at 150 ns
 _RUNS = 36_000  # runs of all records that the deepest searches took
 _EVERY_S = 5.0  # between lines of progress
+_KNOWN = 0.01  # fraction of the steps after which the time left is printed
 
 
 @dataclass
@@ -55,7 +56,11 @@ class Budget:
             self._reported = elapsed, self.lane_steps
             # a hint if the records are so many that the number of steps is the limit
             hint = " (--seconds sets a limit)" if most == self.most else ""
-            self.progress(f"{self.stage}: {elapsed:.0f} s elapsed, at most {left:.0f} s left{hint}")
+            # while programs are compiled few steps are simulated, and their rate predicts nothing
+            known = self.lane_steps >= _KNOWN * most or np.isfinite(self.seconds)
+            self.progress(
+                f"{self.stage}: {elapsed:.0f} s elapsed{f', at most {left:.0f} s left' if known else ''}{hint}"
+            )
 
     def begin(self, stage: str) -> None:
         """Report the start of a stage."""

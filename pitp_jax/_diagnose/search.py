@@ -327,7 +327,7 @@ class Search:
             if len(best) == _RANKED and errors[id(fits[0])] >= best[-1].rms:
                 break
             count = max(_RANKED - len(best), 1)
-            if not self.budget.allows(f"hypotheses of {depth} effects out of fold"):
+            if not self.budget.allows(f"hypotheses of {depth} effect{'s' * (depth > 1)} out of fold"):
                 break
             self._settle(fits[:count])
             fits = fits[count:]

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..._model.encoder import ConstantEncoder
 from ..._model.units import units_of
 from ..._report import html
 from ..._report.html import tag
@@ -89,6 +90,8 @@ def budget_bar(d: Diagnosis) -> str:
 def next_step(d: Diagnosis) -> str:
     """Return the recommended next step, in one sentence."""
     if d.verdict == "no_gap":
+        if isinstance(d.model.encoder, ConstantEncoder):
+            return "Next: predict and invert with this model; if its error is too large, train it with `pitp fit`."
         return "Next: predict and invert with this model; more recordings would not improve it."
     if d.next_experiment is not None:
         return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
