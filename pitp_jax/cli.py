@@ -238,7 +238,7 @@ def _parser() -> argparse.ArgumentParser:
         made.add_argument("--no-cache", action="store_true", help="do not read or store compiled programs")
         return made
 
-    demo = command("demo", "run the paper's protocol on a virtual actuator: tables, figures, model")
+    demo = command("demo", "identify, train and invert a virtual actuator: tables, figures, model")
     demo.add_argument(
         "--plant",
         choices=_PLANTS,
@@ -336,9 +336,9 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _compare_arguments(parser: argparse.ArgumentParser) -> None:
-    kinds = "model file, diagnosis (its JSON or folder), or record files"
+    kinds = "model file, diagnosis (its JSON or folder), or recordings"
     parser.add_argument("a", metavar="A", help=kinds)
-    parser.add_argument("b", metavar="B", help="another of the same kind")
+    parser.add_argument("b", metavar="B", help="what A is compared with, of the same kind")
     parser.add_argument("--out", metavar="DIR", help="folder for a page and its figures")
     _columns(parser)
 
@@ -375,7 +375,7 @@ def _limit_arguments(parser: argparse.ArgumentParser) -> None:
 def _zero_argument(parser: argparse.ArgumentParser, what: str) -> None:
     parser.add_argument(
         "--zero", type=_zero, default="rest", metavar="rest|sensor|VALUE",
-        help=f"zero of the {what}: rest = the position at 0 V (default), sensor = sensor readings, or its VALUE at 0 V",
+        help=f"zero of the {what}: rest = at 0 V (default), sensor = the sensor's zero, VALUE = reading at 0 V",
     )  # fmt: skip
 
 
@@ -384,7 +384,7 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
         "paths",
         nargs="*",
         metavar="[MODEL] RECORDS",
-        help="a model, then the recordings it was fitted on (both optional)",
+        help="a model, or a model and the recordings it was fitted on (optional)",
     )
     parser.add_argument(
         "--out", required=True, metavar="DIR", help="folder for the inputs to play, a page and plan.json"
@@ -393,7 +393,7 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--band", type=_positive, nargs=2, metavar=("LO", "HI"), help="lowest and highest frequency of the input, Hz"
     )
-    parser.add_argument("--duration", type=_positive, metavar="S", help="total duration of the input of all recordings")
+    parser.add_argument("--duration", type=_positive, metavar="S", help="total duration of all recordings")
     parser.add_argument(
         "--rest", type=_seconds, metavar="S",
         help="rest at zero input between recordings (default: until the actuator is at rest again)",
@@ -422,7 +422,7 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     )
     delay.add_argument(
         "--no-delay", action="store_const", const=("delay",), default=(), dest="leave_out",
-        help="fit no delay (default: with a delay if it predicts left-out blocks better)",
+        help="fit no delay (default: fit one if it predicts left-out blocks better)",
     )  # fmt: skip
     parser.add_argument(
         "--validate",
@@ -452,12 +452,12 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--structure", choices=("auto", "encoder", "physical", "both"), default="encoder",
         help="networks (default), the effects that a diagnosis finds, or both; auto: with fewer than eight excitations "
-        "the one that predicts excitations left out best",
+        "the one with the fewest parameters that predicts excitations left out as well as the best",
     )  # fmt: skip
     parser.add_argument(
         "--cross-validate",
         action="store_true",
-        help="also leave out each recording in turn, train on the others and predict it",
+        help="also leave out each recording in turn, train on the others and predict the one left out",
     )
     _columns(parser)
 
@@ -492,7 +492,7 @@ def _invert_arguments(parser: argparse.ArgumentParser) -> None:
         type=_positive,
         default=1.0,
         metavar="S",
-        help="gain of the amplifier: input / S is written (default 1)",
+        help="gain of the amplifier: the file holds the input divided by S (default 1)",
     )
     _columns(parser, target=True)
 
@@ -521,7 +521,7 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--refit-nominal",
         action="store_true",
-        help="also fit the nominal model's coefficients (if it was identified on these recordings)",
+        help="also fit the nominal model's coefficients (use it if the model was identified on these recordings)",
     )
     parser.add_argument(
         "--seconds", type=_positive, metavar="S", help="stop after S seconds and report the best result so far"
