@@ -21,7 +21,7 @@ MIN_LENGTH = 9
 
 
 def central(values: np.ndarray, dt: float) -> np.ndarray:
-    """Return the first derivative exactly by eq. 8.
+    """Differentiate samples by central differences, exactly as the paper does (eq. 8).
 
     Args:
         values: shape (T,), T >= 2.
@@ -38,7 +38,7 @@ def central(values: np.ndarray, dt: float) -> np.ndarray:
 
 
 def stencil(values: np.ndarray, dt: float) -> np.ndarray:
-    """Return the first derivative by the 8th-order central difference.
+    """Differentiate samples by central differences of 8th order.
 
     Args:
         values: shape (T,), T >= 9.

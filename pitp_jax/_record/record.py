@@ -39,7 +39,7 @@ def own_column(values: Any, what: str) -> np.ndarray:
 
 
 class Timed(Shown):
-    """A uniformly sampled series."""
+    """A series of samples at a uniform rate."""
 
     time: np.ndarray
 
@@ -50,7 +50,7 @@ class Timed(Shown):
 
 
 def range_in(values: np.ndarray, unit: str) -> str:
-    """Return the range of values (base unit, nan where missing) as text in their file's unit: `0 to 2.5 kV`."""
+    """Write the range of values (base unit, nan where missing) in their file's unit: `0 to 2.5 kV`."""
     low, high = (from_base(float(end(values)), unit) for end in (np.nanmin, np.nanmax))
     return f"{low:.4g} to {high:.4g} {unit}"
 
@@ -84,7 +84,7 @@ class Record(Timed):
     recognised: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
-        """Refuse samples that no later step could use (the readers give the file, column and sample as well)."""
+        """Refuse samples from which nothing can be computed (the readers name the file, column and sample as well)."""
         refuse_traced("Record", "free_run or residual with arrays", self.time, self.voltage, self.displacement)
         for name in ("time", "voltage", "displacement"):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
@@ -107,12 +107,12 @@ class Record(Timed):
 
     @property
     def observed(self) -> np.ndarray:
-        """Return where the output was measured, shape (T,)."""
+        """Return True where the output was measured, shape (T,)."""
         return np.isfinite(self.displacement)
 
     @property
     def span(self) -> float:
-        """Return largest minus smallest output."""
+        """Return the range of the output: largest minus smallest measured value, base unit."""
         return float(np.ptp(self.displacement[self.observed]))
 
     @property
