@@ -327,7 +327,7 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
 def _to_model(
     chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, own: OutOfFold, said: tuple[str, ...]
 ) -> Fitted:
-    """Return the fitted model; each state is scaled by its expected rms in these records."""
+    """Return the fitted model; the scale of state i is rms displacement times omega^i, omega = (a_0 / a_n)^(1/n)."""
     n = chosen.order
     a = chosen.coefficients
     relative = chosen.stderr / a

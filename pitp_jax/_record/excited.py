@@ -147,7 +147,7 @@ class Cells:
         return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= _PART)
 
     def beside(self, low: int, high: int, amplitude: float) -> tuple[float | None, float | None]:
-        """Return the nearest trained frequencies (Hz) below and above these bands at an amplitude, or None."""
+        """Return the nearest excited frequencies (Hz) below and above some bands at this amplitude (None: none)."""
         well = (TOLERANCE * self.reached >= amplitude) & (self.part >= _NAMED)
         down, up = self.hz[well & (self._numbers < low)], self.hz[well & (self._numbers > high)]
         return next(map(float, down[::-1]), None), next(map(float, up), None)

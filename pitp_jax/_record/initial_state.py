@@ -237,7 +237,7 @@ def settled_samples(record: Record, omega: float) -> int:
 
 
 def first_known(record: Record) -> int:
-    """Return the first sample from which a state can be estimated: 0 unless the record starts with a long gap."""
+    """Return the index of the first sample at which a state can be estimated: 0 unless a long gap comes first."""
     seen = np.concatenate([[0], np.cumsum(record.observed)])
     ahead = seen[np.minimum(np.arange(record.samples) + _WITHIN, record.samples)] - seen[:-1]
     # enough samples observed within the next ones to fit a state
