@@ -79,7 +79,7 @@ class CheckedRecord:
 
 @dataclass(frozen=True)
 class Check(Shown):
-    """What `check` found: facts on every record, advice, coverage of frequencies and amplitudes, repeated inputs.
+    """The result of `check`: facts on every record, advice, coverage of frequencies and amplitudes, repeated inputs.
 
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.

@@ -111,7 +111,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
-    """Return the gaps (Hz) near the resonance between strongly excited frequencies, ends of the range included."""
+    """Return the intervals (Hz) near the resonance that no strong input excites, the ends of the range included."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]

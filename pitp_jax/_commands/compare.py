@@ -1,4 +1,4 @@
-"""`pitp compare`: reports the differences between two models, two diagnoses or two groups of records."""
+"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of recordings."""
 
 import json
 import math

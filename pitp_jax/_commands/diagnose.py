@@ -1,4 +1,4 @@
-"""`pitp diagnose`: reports where recordings disagree with a model (or simulator), and which missing effect is the cause."""
+"""`pitp diagnose`: reports where recordings and a model or simulator disagree, and which missing effect causes it."""
 
 import os
 import shlex

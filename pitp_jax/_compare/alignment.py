@@ -24,7 +24,7 @@ _WORTH_REFINING = 0.7  # half a sample of lag turns a sine of four samples a per
 
 @dataclass(frozen=True)
 class Alignment:
-    """How one command agrees with another: correlation, time offset, size ratio and difference.
+    """The agreement of one command with another: correlation, time offset, size ratio and difference.
 
     Attributes:
         correlation: of the two commands where they overlap; negative for a mirrored command.

@@ -151,7 +151,7 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
 
 @jit
 def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
-    """Return the scaled states settled at three rows of inputs, and A and B of one time step about the middle row."""
+    """Return scaled states for three rows of constant inputs, and A, B of one time step about the middle row."""
     flat = levels.ravel().astype(model.coefficients.dtype)
     states = held_states(model, flat, dt, jnp.zeros_like(flat)).reshape(*levels.shape, -1)
 

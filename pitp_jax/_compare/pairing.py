@@ -1,4 +1,4 @@
-"""Pair recordings of two groups by their commands, and by their responses where commands repeat.
+"""Pair the recordings of two sets by their commands, and by their responses where commands repeat.
 
     distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
@@ -28,7 +28,7 @@ _MIRRORED = -0.5  # median correlation of the outputs below which the output of 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two recordings of the same command, one from each group.
+    """Two recordings of the same command, one from each set of recordings.
 
     Attributes:
         first, second: the recordings; both carry the command at times t and t - offset of their own clocks.
@@ -55,7 +55,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Pairing:
-    """Which recordings of two groups belong together, and which have no counterpart.
+    """The pairs of recordings found in two sets, and the recordings without a counterpart.
 
     Attributes:
         pairs: in the order of the first set; a recording may be in several.
@@ -73,14 +73,14 @@ class Pairing:
     mirrored: tuple[bool, bool] = (False, False)
 
     def remarks(self, first: str, second: str) -> list[str]:
-        """Write remarks on clocks, unpaired recordings and signs; `first` and `second` name the two groups."""
+        """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
         return remarks_on(self, first, second)
 
 
 def pair_records(
     first: Sequence[Record], second: Sequence[Record], *, shared: Literal["first", "second"] = "first"
 ) -> Pairing:
-    """Find for each recording of one group the recording of the other group with the same command.
+    """Find for each recording of one set the recording of the other set with the same command.
 
     Args:
         first, second: recordings of two machines, or of a machine and its simulator; rates may differ.
@@ -114,14 +114,14 @@ def pair_records(
 
 
 def _partnered(matches: list[list[Alignment]]) -> int:
-    """Count the recordings of both groups whose command occurs in the other group."""
+    """Count the recordings of both sets whose command occurs in the other set of recordings."""
     fits = np.array([[m.accepted for m in row] for row in matches])
     return int(fits.any(axis=0).sum() + fits.any(axis=1).sum())
 
 
 @dataclass(frozen=True)
 class _Table:
-    """How every recording of one group aligns with every one of the other; arrays of shape (first, second).
+    """The alignment of every recording of one set with every one of the other; arrays of shape (first, second).
 
     Attributes:
         mine, others: the recordings.
@@ -160,7 +160,7 @@ class _Table:
         )
 
     def turned(self) -> "_Table":
-        """Return the same table with the two groups exchanged."""
+        """Return the same table with the two sets of recordings exchanged."""
         matches = [
             [Alignment(m.correlation, -m.offset, 1 / m.size if m.size else np.inf, m.misfit) for m in column]
             for column in zip(*self.matches, strict=True)
@@ -182,7 +182,7 @@ class _Table:
         return np.where(fits, cost, _REFUSED)
 
     def apart(self, i: int, k: int, partner: int) -> float:
-        """Return the squared distance of two responses of the first group, aligned through a recording of the other."""
+        """Return the squared distance of two responses of one set, aligned through a recording of the other set."""
         offset = self.matches[i][partner].offset - self.matches[k][partner].offset
         a, b, c = _moments(self.mine[i], self.mine[k], offset)
         return max(a + b - 2 * c - 2 * (self.noise[0][i] + self.noise[0][k]), 0.0)
@@ -201,7 +201,7 @@ class _Table:
         return f"no command correlates by {ALIKE:g} or more with its own (closest: {name}, {m.correlation:.2f})"
 
     def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
-        """Return the groups of recordings with equal commands that were told apart by their responses."""
+        """Return the groups of recordings with equal commands that only their responses distinguish."""
         groups = set()
         for i, row in enumerate(self.near):
             group = tuple(np.flatnonzero(row).tolist())
@@ -227,7 +227,7 @@ def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:
-    """Pair left-over recordings of the first group with the counterpart of the recording that they repeat."""
+    """Pair the remaining recordings of the first set with the counterpart of the recording that they repeat."""
     found = set()
     for i in sorted(set(range(len(table.mine))) - {i for i, _ in chosen}):
         fitting = np.flatnonzero(table.near[i]).tolist()

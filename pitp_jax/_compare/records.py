@@ -1,4 +1,4 @@
-"""Compare two groups of records: outputs under equal commands, otherwise linear models fitted to each group.
+"""Compare two sets of recordings: outputs under equal commands, otherwise linear models fitted to each set.
 
     y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
@@ -25,7 +25,7 @@ _NOISES = 3.0  # allowed difference of two recordings of one machine, in standar
 
 
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
-    """Pair recordings and compare their outputs; if none pairs, identify and compare linear models of both groups."""
+    """Pair recordings and compare their outputs; if none pairs, compare linear models fitted to both sets."""
     pairs = pair_records(a, b)
     remarks = pairs.remarks(*names)
     if pairs.pairs:

@@ -1,4 +1,4 @@
-"""Write the folder of `pitp demo`: the recordings, the model files, the tables as CSV, and the paper's figures.
+"""Write the folder of `pitp demo`: recordings, model files, tables as CSV, and the paper's figures.
 
 records/   the sweep and the training sines: for `pitp identify`, `fit` and `diagnose`
 held_out/  held-out recordings, for `pitp predict`

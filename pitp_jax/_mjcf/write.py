@@ -34,7 +34,7 @@ _APART = 0.1  # fraction by which the inertia of recordings and file may differ 
 
 @dataclass(frozen=True)
 class Written:
-    """What was written into a MuJoCo file: changes, parameters that it cannot hold, and remarks.
+    """The changes written into a MuJoCo file, the parameters that it cannot hold, and remarks.
 
     Attributes:
         file: the new file.

@@ -107,7 +107,7 @@ def _starts(model: Model, first: np.ndarray, dt: float):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """What the training records determine about a model: precision of its parameters, residual, noise floor.
+    """The information of the training records on a model: precision of the parameters, residual, noise floor.
 
     Attributes:
         precision: of the trained parameters, per unit of s^2, shape (P, P).

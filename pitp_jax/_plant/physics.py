@@ -148,7 +148,7 @@ class Plant:
         return np.asarray(roots).reshape(u.shape)[()]
 
     def derivative(self, state, u):
-        """Compute the time derivative of the state (x / scale, x' / (scale/s), b_i - 1) under u (V), (2 + branches,)."""
+        """Compute the derivative of the state (x / scale, x' / (scale/s), b_i - 1) under u (V), (2 + branches,)."""
         # b_i - 1, so that the state at rest is zero and small creep keeps its digits
         x, v = state[0] * self.scale, state[1] * self.scale
         strength, tau = jnp.asarray(self.branches, dtype=state.dtype).T

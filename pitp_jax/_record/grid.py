@@ -89,7 +89,7 @@ class _Line:
 
 
 def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], rate: float | None = None) -> Gridded:
-    """Put rows on a uniform grid.
+    """Put the rows of a recording on a uniform time grid.
 
     Args:
         rows: with a time that does not decrease.

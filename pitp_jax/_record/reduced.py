@@ -25,7 +25,7 @@ _BEYOND = 3.0  # times the motion's band: a mode above does not move in these re
 
 @runtime_checkable
 class Sampled(Protocol):
-    """What block averaging needs of a model: its input map, its coefficients, and itself at another sampling rate."""
+    """The parts of a model that block averaging uses: input map, coefficients, and itself at another sampling rate."""
 
     @property
     def input_map(self) -> Any: ...

@@ -61,7 +61,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Layout:
-    """How a table is laid out in a text: separator, decimal mark, columns, first row of numbers.
+    """The layout of a table in a text: separator, decimal mark, columns, first row of numbers.
 
     Attributes:
         separator: between cells; a blank stands for any number of them.
