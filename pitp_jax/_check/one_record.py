@@ -31,7 +31,7 @@ _MUCH = 0.05  # fraction of missing samples that is reported
 
 @dataclass(frozen=True)
 class Facts:
-    """Properties of one record that need no model.
+    """Facts about one record that need no model: input, noise, faults and problems.
 
     Attributes:
         excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.

@@ -9,7 +9,7 @@ _GAP = {"before": "gap before", "after": "gap after", "noise_floor": "noise floo
 
 
 def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
-    """Compare every number of two diagnoses, given as their JSON."""
+    """Compare all results of two diagnoses that are given as their JSON."""
     rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
     rows.append(stated("handed back", a.get("handed_back") or [], b.get("handed_back") or []))
     first = [d["ranking"][0]["effect"] if d.get("ranking") else None for d in (a, b)]

@@ -107,7 +107,7 @@ class _Columns:
         return rest, float(factors[0])
 
     def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
-        """Return the fitted sensor offset, its weight 1 / variance, and the number of samples."""
+        """Return the fitted sensor offset (m), its weight (1 / variance), and the number of block means."""
         residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
@@ -118,7 +118,7 @@ class _Columns:
         return bool(moving < 0.5 * rest)
 
     def score(self, begins: Begins, direction: float) -> float:
-        """Return the Bayesian information criterion (BIC) of a start and a sensor direction; lower is better."""
+        """Return the Bayesian information criterion (BIC) of an initial state and sensor direction; lower is better."""
         extra = self.free.shape[1] if begins == "moving" else 0
         return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
@@ -170,7 +170,7 @@ def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarra
 
 
 def _directed(logs: np.ndarray, problem: Problem) -> Problem:
-    """Return the problem with the sensor of a record reversed where the sign of its gain differs from most."""
+    """Reverse the sensor of those normalised records whose gain has another sign than most."""
     gains: list[float] = []
     if len(problem.drive) == 1:
         return problem
@@ -317,5 +317,5 @@ def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: f
 
 
 def _agree(difference: float, weight: float, size: int) -> bool:
-    """Return whether one common sensor offset suffices: T log(1 + w dz^2 / T) <= log T."""
+    """Return whether two sensor offsets are equal within their errors: T log(1 + w dz^2 / T) <= log T (BIC)."""
     return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))

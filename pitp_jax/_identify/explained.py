@@ -21,7 +21,7 @@ _GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the m
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
-    """Return whether the model explains the output at all, and a warning if it explains little or only noise."""
+    """Return whether the model explains the output, and a warning if it explains little or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
     left = f"{100 * chosen.heldout.score:.0f} % of the output's rms remains unexplained on held-out blocks"
     if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:

@@ -58,7 +58,7 @@ def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarr
 
 
 class _Lines(NamedTuple):
-    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, factor of a linearly held input."""
+    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of the hold."""
 
     s: np.ndarray
     value: np.ndarray

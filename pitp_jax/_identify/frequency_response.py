@@ -36,12 +36,12 @@ class FrequencyResponse:
 
     @property
     def coherent(self) -> np.ndarray:
-        """Return which lines have a coherence of at least 0.8, shape (lines,)."""
+        """Return True for the frequency lines whose coherence is at least 0.8, shape (lines,)."""
         return self.coherence >= _COHERENT
 
     @property
     def rich(self) -> bool:
-        """Return whether enough lines are coherent, over a wide enough band, to distinguish orders and delays."""
+        """Return whether coherent lines are numerous and wide enough in band to distinguish orders and delays."""
         known = self.hz[self.coherent]
         return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
 

@@ -1,4 +1,4 @@
-"""Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
+"""Identify a continuous-time ODE of order n without zeros by output error (the paper's tfest step).
 
     F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + offset_r + noise
 
@@ -139,7 +139,7 @@ def identify(
     leave_out: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
 ) -> Identification:
-    """Fit a linear ODE to records by output error.
+    """Identify a linear ODE of the lowest sufficient order from records, by output error.
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
@@ -240,7 +240,7 @@ def _candidates(
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
-    """Return the problem on which candidates are compared: block means if there are more samples than needed."""
+    """Return the normalised records on which candidates are compared: block means if there are many samples."""
     whole = build_problem(records, input_map, begun)
     fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))

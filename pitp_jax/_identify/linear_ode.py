@@ -1,4 +1,4 @@
-"""Linear ODEs that are stable by construction, and their exact response to a sampled input.
+"""Simulate linear ODEs that are stable by construction, exactly for a sampled input.
 
     P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
     P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)

@@ -76,7 +76,7 @@ class OrderFit(Shown):
 
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
-    """Return the physical coefficients, their standard errors, and the figures used to compare orders."""
+    """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
     structure, params = candidate.structure, candidate.params
     n, poles = structure.order, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)

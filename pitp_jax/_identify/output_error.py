@@ -297,12 +297,12 @@ def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.
 
 
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
-    """Return the problem with only the samples marked in `keep` counted."""
+    """Return the normalised records with only the samples marked in `keep` counted."""
     return replace(problem, weight=tuple(w * k for w, k in zip(problem.weight, keep, strict=True)))
 
 
 def alone(problem: Problem, k: int) -> Problem:
-    """Return the problem with record k only, in the same units."""
+    """Return the normalised records reduced to record k, in the same units."""
     return replace(
         problem,
         drive=problem.drive[k : k + 1],

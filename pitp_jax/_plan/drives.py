@@ -51,7 +51,7 @@ class Planned:
 
     @property
     def seconds(self) -> float:
-        """Return the duration, s."""
+        """Return the duration of the planned recording, s."""
         return len(self.time) * self._dt
 
     @property

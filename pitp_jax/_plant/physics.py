@@ -35,7 +35,7 @@ def _root(function, low: float, high: float) -> float:
 
 @dataclass(frozen=True)
 class ConeGeometry:
-    """A membrane of radial width `width` (m) pulled out of its plane by z: q = 1 + (z/w)^2.
+    """A membrane of radial width w (m) pulled out of its plane by z: squared stretch q = 1 + (z/w)^2.
 
     Attributes:
         width: distance w from the central disk to the frame in m.
@@ -50,7 +50,7 @@ class ConeGeometry:
 
 @dataclass(frozen=True)
 class RollGeometry:
-    """A roll of active length `width` (m) elongated by z: q = (1 + z/w)^2.
+    """A roll of active length w (m) elongated by z: squared stretch q = (1 + z/w)^2.
 
     Attributes:
         width: active length w in m.

@@ -1,4 +1,4 @@
-"""Checks that a record must pass before anything is computed from it.
+"""Check that samples are usable before anything is computed from them.
 
 |t_i - (a + b i)| <= 0.01 b for some straight line a + b i,    T >= 64,
 u_i finite for all i,    y_i finite or nan (missing) and finite for at least one i
@@ -163,7 +163,7 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
 
 
 def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> NoReturn:
-    """Refuse times that are not on a uniform grid; arguments as for `check_time`.
+    """Refuse times off a uniform grid, with the first sample that is off; arguments as for `check_time`.
 
     Raises:
         BadInput: with the first sample that decreases, repeats or jumps.

@@ -1,4 +1,4 @@
-"""Numerical differentiation of a series of samples.
+"""Differentiate a series of samples numerically.
 
     central   (d x)_t = (x_{t+1} - x_{t-1}) / (2 dt), one-sided at both ends   (paper, eq. 8)
     stencil   (d x)_t = sum_{k=1..4} c_k (x_{t+k} - x_{t-k}) / dt   (8th order)

@@ -43,7 +43,7 @@ class Excitation:
 
     @property
     def dt(self) -> float:
-        """Return the sampling interval, s."""
+        """Return the sampling interval of the voltage, s."""
         return float(self.time[-1] / (len(self.time) - 1))
 
 

@@ -1,4 +1,4 @@
-"""Classify the input of a record, and select records when all would be too many.
+"""Classify the input of a record (sweep, sine, steps, broadband), and select a few records of every kind.
 
     j-th of m records of a kind:  rank of the loudest line near (j + 1/2) / m,  rank of the strength near frac(0.618 j)
 

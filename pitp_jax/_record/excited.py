@@ -104,7 +104,7 @@ def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
 
 
 def tabulate(signals: Sequence[np.ndarray], dt: float) -> Table:
-    """Return the largest amplitude and energy fraction of signals (one sampling interval) per quarter octave.
+    """Return for every quarter octave the largest amplitude and energy fraction that the signals reach.
 
     Returns:
         a row for every quarter octave: the middle of its energy (Hz), the amplitude reached at it or above (base

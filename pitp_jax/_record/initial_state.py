@@ -51,7 +51,7 @@ class Beginning:
 
 
 def noise_std(displacement: np.ndarray) -> float:
-    """Return the standard deviation of white sensor noise from the 5th difference, output unit.
+    """Return the standard deviation of white sensor noise, estimated from fifth differences, output unit.
 
     It is an upper bound if the signal is not oversampled, because the 5th difference then contains motion too
     (docs/decisions/noise_floor.md).

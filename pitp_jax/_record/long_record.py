@@ -44,12 +44,12 @@ class LongRecord:
 
     @property
     def seconds(self) -> float:
-        """Return the duration, s."""
+        """Return the duration of the stored record, s."""
         return len(self.voltage) * self.step * self.dt
 
     @property
     def range(self) -> float:
-        """Return largest minus smallest displacement, m (or V)."""
+        """Return the output's range: largest minus smallest displacement, m (or V)."""
         return float(np.nanmax(self.displacement) - np.nanmin(self.displacement))
 
     def record(self) -> Record:

@@ -1,4 +1,4 @@
-"""Mask the faults of a sensor: spikes, off-scale values and clipping. Count the samples at which it stands still.
+"""Mask the faults of a sensor: spikes, off-scale values and clipping; count samples at which it stands still.
 
 spike      1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
 off scale  a value far outside all others, as a laser reads without a target

@@ -1,4 +1,4 @@
-"""Refuse impossible values of a recording, and ask about improbable ones.
+"""Refuse impossible values of a recording, and ask the user about improbable ones.
 
 100 kV, 1 km and more                        refused: a unit is wrong
 range of x > 1 m, 90 % of x equal            reported

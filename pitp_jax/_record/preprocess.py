@@ -84,7 +84,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
 
 
 def cutoff(f_max: float, dt: float) -> float:
-    """Return the filter cut-off min(2 f_max, 0.4 f_s), Hz.
+    """Return the cut-off frequency of the filter, min(2 f_max, 0.4 f_s), Hz.
 
     Args:
         f_max: from `force_band`, in Hz.

@@ -72,7 +72,7 @@ class Target(Timed):
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
-    """Read any mix of record files and folders of them.
+    """Read recordings from any mix of files and folders.
 
     Folders do not recurse; their files are taken in sorted order, files that are not records are ignored. A record with
     a gap too long to fill is split there (`name.1`, `name.2`). These options take precedence over `pitp.toml` in the
@@ -333,7 +333,7 @@ def _is_record(file: Path) -> bool:
 
 
 def names_of(files: Sequence[Path]) -> list[str]:
-    """Return one unique name per file; names that collide get as many parent folders as necessary.
+    """Return one unique record name per file; names that collide get as many parent folders as necessary.
 
     Raises:
         BadInput: a file given twice, or two of one folder that differ only in their suffix.

@@ -1,4 +1,4 @@
-"""A record: one excitation of one actuator, sampled uniformly.
+"""Define a record: one excitation of one actuator, sampled uniformly.
 
     t_i = t_0 + i dt,   u_i = voltage (V),   y_i = displacement (base unit: m, or V for an electronic output)
 
@@ -57,7 +57,7 @@ def range_in(values: np.ndarray, unit: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Record(Timed):
-    """One excitation of one actuator, in base units.
+    """A recording of one actuator under one excitation: time, voltage and displacement in base units.
 
     Attributes:
         name: the file name without its known suffix, or any label unique in the set.
@@ -95,14 +95,14 @@ class Record(Timed):
         check_samples(self.time, self.voltage, self.displacement, source)
 
     def __repr__(self) -> str:
-        """Return one line: length, rate, ranges in the file's units."""
+        """Write the record in one line: length, sampling rate, ranges in the file's units."""
         ranges = range_in(self.voltage, self.voltage_unit), range_in(self.displacement, self.displacement_unit)
         lost = f", {self.missing} missing" if self.missing else ""
         return f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {', '.join(ranges)}{lost})"
 
     @property
     def samples(self) -> int:
-        """Return the number of samples T."""
+        """Return the number of samples, T."""
         return len(self.time)
 
     @property

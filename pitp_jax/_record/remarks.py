@@ -1,4 +1,4 @@
-"""Remarks on what was done to records while reading: stored as values, formulated only at the end.
+"""Collect remarks on what was done to records while reading, and write them as sentences at the end.
 
 kind, record, count -> one sentence for a record, one line of a set for every kind: `9 records: 1 lost sample each, ...`
 """
@@ -60,7 +60,7 @@ class Remark:
 
 
 def counted(count: int, what: str) -> str:
-    """Return a count with its noun, singular or plural."""
+    """Write a count with its noun, singular or plural."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 

@@ -14,7 +14,7 @@ ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the
 
 
 def check_records(records: object, *, empty: bool = False) -> None:
-    """Refuse anything but a list of records; `empty`: whether an empty list is accepted.
+    """Refuse any argument that is not a list of records; `empty`: whether an empty list is accepted.
 
     Raises:
         BadInput: naming the given and the accepted types.

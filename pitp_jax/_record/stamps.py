@@ -1,4 +1,4 @@
-"""Repair time stamps before a grid is fitted: overflows, rows out of order, rows with equal stamps.
+"""Repair time stamps before a uniform grid is fitted: counter overflows, rows out of order, equal stamps.
 
 overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of 1 ms or 1 us)
 

@@ -43,7 +43,7 @@ class Drive(Timed):
 
 
 def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
-    """Read any mix of files and folders with time and voltage; a displacement column is ignored.
+    """Read voltages over time from any mix of files and folders; a displacement column is ignored.
 
     Args:
         *paths: files and folders as for `read`; rates may differ.

@@ -61,7 +61,7 @@ def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_h
 
 
 def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.ndarray:
-    """Draw measured and predicted output, and the error beneath (the paper's Fig. 8).
+    """Draw measured and predicted output, and the error below them (the paper's Fig. 8).
 
     Args:
         time: sample times in s, shape (T,).

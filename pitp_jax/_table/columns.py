@@ -26,7 +26,7 @@ _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit cou
 
 @dataclass(frozen=True)
 class Loaded:
-    """Columns of one part of a file, in base units.
+    """The chosen columns of one part of a file, loaded in base units.
 
     Attributes:
         table: their source.

@@ -90,7 +90,7 @@ def is_number(cell: str, decimal: str) -> bool:
 def layouts(
     rows: Rows, separator: str, decimal: str, source: str, header_line: int | None, units_line: str | None
 ) -> list[Layout]:
-    """Return every way to read the head of a table, the likeliest first.
+    """Return every possible reading of the rows above the numbers (names, units), the likeliest first.
 
     Args:
         rows: the first rows.

@@ -1,4 +1,4 @@
-"""Options of reading that the user states: columns, units, scales, rate, and the format of text.
+"""Hold the options of reading that the user states: columns, units, scales, rate, and the format of text.
 
 u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
 
