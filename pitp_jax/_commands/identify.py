@@ -89,7 +89,7 @@ def print_orders(identified: Identification, unit: str) -> None:
 
 
 def delay_text(identified) -> str:
-    """Write the fitted delay, for the fitted behaviour of the input between samples and for the alternative one."""
+    """Write the fitted delay, and the delay if the input behaved otherwise (held or linear) between samples."""
     delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
     half = 500 * identified.model.dt
     if identified.model.hold == "zoh":

@@ -82,7 +82,7 @@ def _on_grid(record: Record, dt: float) -> np.ndarray:
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Correlate two commands at all lags k (x_i beside y_{i-k}) with enough overlap; return lags and correlations."""
+    """Correlate two commands at all lags with enough overlap; return lags k (x_i beside y_{i-k}) and correlations."""
     lags = np.arange(-(len(y) - 1), len(x))
     low, high = np.maximum(0, lags), np.minimum(len(x), lags + len(y))
     enough = (high - low) >= _OVERLAP * min(len(x), len(y))

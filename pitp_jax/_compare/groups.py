@@ -126,7 +126,7 @@ def _same(a: _Thin, b: _Thin) -> bool:
 
 
 def _run(logs: np.ndarray, record: _Thin) -> np.ndarray:
-    """Simulate a recording with unit gain from the equilibrium of its first sample; subtract the mean."""
+    """Simulate a unit-gain model under a recording's command, from equilibrium at the first sample, without mean."""
     run = respond(logs, record.drive, step=record.dt, square=False, hold="foh", settled=True)
     return run - run[record.seen].mean()
 

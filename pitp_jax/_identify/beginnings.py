@@ -107,7 +107,7 @@ class _Columns:
         return rest, float(factors[0])
 
     def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
-        """Return the fitted sensor offset (m), its weight (1 / variance), and the number of block means."""
+        """Return the fitted sensor offset (output unit), its weight (1 / variance), and the number of block means."""
         residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
@@ -124,7 +124,7 @@ class _Columns:
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
-    """Return the indices of some records, and these records averaged over a tenth of the input band's period."""
+    """Select records of every kind; return indices, and these records averaged over a tenth of the fastest period."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, shortest = records[0].dt, min(r.samples for r in records)
     size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
@@ -163,7 +163,7 @@ def _from_response(problem: Problem) -> np.ndarray | None:
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """Fit order 2; return mean square residual, logarithms of the pole coefficients, and gain (m per V^2 or V)."""
+    """Fit a second-order model; return mean square residual, log pole coefficients (rad/s), gain (m per V^2 or V)."""
     logs, cost, _ = least_squares(start, _STRUCTURE, problem)
     gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
     return (cost, (logs, gain)) if np.isfinite(cost) else None
@@ -307,7 +307,7 @@ def _stderr(weight: float) -> float:
 
 
 def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
-    """Return whether fitting whole records gives a more precise sensor offset than the first samples, without bias.
+    """Return whether whole records determine a sensor offset more precisely than their first samples, without bias.
 
     The fitted offset has the smaller standard error, and both agree within five combined standard errors.
     """

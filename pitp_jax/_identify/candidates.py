@@ -109,7 +109,7 @@ def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
 
 
 def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:
-    """Return initial parameters from a fit under another hold; a delay is shifted by half a sample of the input."""
+    """Return initial parameters from a fit with another hold of the input; a delay shifts by half a sample."""
     structure, (params, _, _) = other
     if structure.delayed and hold != structure.hold:
         moved = (0.5 if structure.hold == "zoh" else -0.5) * problem.fine

@@ -68,7 +68,7 @@ class _Lines(NamedTuple):
 
     @classmethod
     def of(cls, response: FrequencyResponse, dt: float) -> "_Lines":
-        """Select the coherent lines of a response measured with a sampling interval of `dt` seconds."""
+        """Select the frequencies at which a response, sampled every `dt` seconds, is coherent."""
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))

@@ -50,7 +50,7 @@ UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros
 
 
 def frequency_response(problem: Problem) -> FrequencyResponse:
-    """Measure the frequency response of every record on logarithmically spaced lines; return all, sorted by Hz."""
+    """Measure the frequency response of every record at logarithmically spaced frequencies, sorted by Hz."""
     each = max(_LINES // len(problem.drive), 8)
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):

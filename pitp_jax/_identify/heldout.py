@@ -69,7 +69,7 @@ def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
 
 
 def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> HeldOut:
-    """Refit without each fold in turn, starting from `params`; return the errors on the folds left out."""
+    """Refit without each third of the blocks in turn, from `params`; return the errors on the blocks left out."""
     edges = [np.linspace(0, len(w), 3 * _FOLDS + 1).astype(int) for w in problem.weight]
     error = [np.zeros(len(w)) for w in problem.weight]
     scored = [np.zeros(len(w)) for w in problem.weight]

@@ -214,7 +214,7 @@ def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """Fit the candidates of the orders, holds and delays that the caller of `identify` allows, in ascending order.
+    """Fit candidate models of the orders, holds of the input and delays that the options allow, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.
@@ -308,7 +308,7 @@ def _coloured(
 
 
 def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
-    """Return initial states with the fitted sensor offsets (m), directions and standard errors."""
+    """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
     gains = solve(chosen.params, chosen.structure, problem).gains
     polarity = float(np.sign(gains[0]) or 1.0)
     errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1

@@ -90,7 +90,7 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
 
 
 def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
-    """Scale poles beyond `fastest` back to it; return the logarithms of the factors' coefficients.
+    """Slow poles beyond `fastest` down to it; return the logarithms of the polynomial factors' coefficients.
 
     Clipping the coefficients instead would move all poles.
     """
@@ -114,7 +114,7 @@ def _phi(z: complex, k: int) -> complex:
 
 
 def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
-    """Return the derivatives of the poles by the logarithms of the factors' coefficients, in the order of `poles`."""
+    """Return the derivatives of the poles by the logarithms of the polynomial factors' coefficients, shape (n, n)."""
     known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
     for k, factor in enumerate(_factors(logs)):
         for i in range(2 * k, 2 * k + len(factor) - 1):

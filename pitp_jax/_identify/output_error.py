@@ -167,7 +167,7 @@ def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> 
 
 
 def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the free responses of record k, shape (T, columns; none unless it moves first), and which oscillate."""
+    """Return the free responses of record k, shape (T, columns), and which oscillate; none unless it starts moving."""
     samples = len(problem.drive[k])
     if problem.beginnings[k].begins != "moving":
         return np.zeros((samples, 0)), np.zeros(0, bool)
@@ -218,7 +218,7 @@ def solve(
 def _linear(
     params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
 ) -> tuple[np.ndarray, int, np.ndarray]:
-    """Return weighted regressors of record k, the number of its free responses (they come first), and their ridge."""
+    """Return weighted regressors of record k (free responses first), and number and ridge of the free responses."""
     own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
     zeros = np.zeros((problem.free_zeros, len(weight)))
     if problem.zeros[k] >= 0:

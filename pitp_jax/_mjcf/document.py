@@ -40,7 +40,7 @@ class Tag:
 
 @dataclass(frozen=True)
 class Document:
-    """The bytes of a MuJoCo file and of the files that it includes, and all XML start tags in the order of the model.
+    """A MuJoCo file and the files that it includes: bytes, and all XML start tags in the order of the model.
 
     Attributes:
         main: the file itself.

@@ -89,7 +89,7 @@ def usable_rows(
 
 
 def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Add the overflows of a clock's counter to its time; return it and their number."""
+    """Add counter overflows to a clock's time (s); return the continuous time and the number of overflows."""
     steps = np.diff(time)
     back, ahead = steps < 0, steps[steps > 0]
     if not back.any() or not len(ahead):
