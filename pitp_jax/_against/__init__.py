@@ -1,4 +1,4 @@
-"""Diagnosis of a robot against its simulator: finds the parameters that the simulator lacks, from two sets of records.
+"""Diagnose a robot against its simulator: find the parameters that the simulator lacks, from recordings of both.
 
     SIM -> identify -> diagnose on SIM -> nominal with the simulator's own effects -> diagnose on the robot's records
 

@@ -1,4 +1,4 @@
-"""Compute the signal that, added to the simulator's input, gives the robot's output: one per recording.
+"""Compute for each recording the signal that, added to the simulator's input, reproduces the robot's output.
 
     f_{k+1} = f_k + G+ (y - y_sim(F + f_k)),    G+ = conj(G) / (|G|^2 + eps |G(0)|^2),    G(s) = e^{-s T} / sum a_i s^i
 
@@ -22,7 +22,7 @@ _EPSILON = 0.01
 
 
 def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.ndarray]:
-    """Return the added input of every recording, in the input's base unit, shape (T,).
+    """Return for each recording the signal to add to the simulator's input (base unit), shape (T,).
 
     Args:
         nominal: the simulator's model.
@@ -39,20 +39,20 @@ def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.n
 
 
 def _input(model: Model | Fitted, voltage: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return the input whose force is that of `voltage` plus `force`; a squared input has no negative force."""
+    """Add a force in input units (V^2, or V for a linear input) to a voltage; return the resulting voltage."""
     if model.input_map.name == "linear":
         return voltage + force
     return np.where(voltage < 0, -1.0, 1.0) * np.sqrt(np.maximum(voltage**2 + force, 0.0))
 
 
 def _filled(values: np.ndarray) -> np.ndarray:
-    """Return the values with missing samples interpolated; 0 if all are missing."""
+    """Interpolate missing samples; return 0 if all are missing."""
     seen, at = np.isfinite(values), np.arange(len(values))
     return np.interp(at, at[seen], values[seen]) if seen.any() else np.zeros(len(values))
 
 
 def _regularised_inverse(model: Model | Fitted, error: np.ndarray, dt: float) -> np.ndarray:
-    """Return G+ applied to a signal that is mirrored, so that its ends meet."""
+    """Return the input (V^2, or V if linear) that causes an error signal, by a regularised inverse in frequency."""
     a = model.physical_coefficients
     mirrored = np.concatenate([error, error[::-1]])
     s = 2j * np.pi * np.fft.rfftfreq(len(mirrored), dt)

@@ -1,4 +1,4 @@
-"""Diagnose recordings: against a model, or against recordings of a simulator."""
+"""Diagnose recordings against a model, or against recordings of a simulator."""
 
 from collections.abc import Callable, Sequence
 from typing import overload
@@ -120,7 +120,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
 
 
 def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
-    """Identify the simulator with the lowest order whose error is at most a tenth of the gap.
+    """Identify the simulator with the lowest order whose error is at most a tenth of its distance to the robot.
 
     A simulator has no noise to limit the order. Without this rule, an integrator's step and its hold became a third
     pole, and no parameter belonged to the joint.
@@ -139,7 +139,7 @@ def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple
 
 
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
-    """Return the free-run error pooled over records, % of range; infinite if one diverges."""
+    """Return the rms error of simulations, pooled over records, % of range; infinite if one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
         squares.append(
@@ -149,5 +149,5 @@ def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
 
 
 def with_lineage(found: SimToReal) -> Fitted:
-    """Return the returned model with the robot's recordings in its lineage."""
+    """Return the diagnosed model with the robot's recordings added to its lineage."""
     return descended(found.model, "diagnose against a simulator", found.records, found.nominal)

@@ -1,4 +1,4 @@
-"""The page of a robot and its simulator: verdict, parameters, budget of the gap, recordings overlaid."""
+"""Write the page of a robot and its simulator: verdict, parameters, parts of the error, recordings overlaid."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -15,7 +15,7 @@ _DRAWN = 12  # recordings
 
 
 def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray], str]] | None = None) -> str:
-    """Return a self-contained HTML page; `drawn`: its `figures`, which are reduced in size; None draws them."""
+    """Write the page as HTML; `drawn` holds the result of `figures`, or None to draw them."""
     shown = figures(found) if drawn is None else drawn
     pictures = [html.picture(name, each, caption) for name, (each, _, caption) in shown.items()]
     parts = [*_first(found), tag("h2", "Recordings"), f'<div class="figures">{"".join(pictures)}</div>']
@@ -23,7 +23,7 @@ def page(found: SimToReal, drawn: dict[str, tuple[Figure, dict[str, np.ndarray],
 
 
 def first_screen(found: SimToReal) -> str:
-    """Return headline and parameters as HTML without the page frame."""
+    """Write headline and parameters as HTML, without the page around them."""
     return "".join(_first(found))
 
 
@@ -89,7 +89,7 @@ def _budget(found: SimToReal) -> list[str]:
 
 
 def figures(found: SimToReal) -> dict[str, tuple[Figure, dict[str, np.ndarray], str]]:
-    """Return figure, numbers and caption for every recording: robot, simulator and correction."""
+    """Draw every recording (robot, simulator, added input); return figures with numbers and captions, by name."""
     made = {}
     for pair in found.pairs.pairs[:_DRAWN]:
         name = pair.first.name.replace("/", "_")

@@ -1,4 +1,4 @@
-"""Parameters of a simulator and of a robot as users enter them: units, names in three programs, differences.
+"""Tabulate parameters of a simulator and a robot as users enter them: units, names in three programs, differences.
 
     a_0 q + a_1 q' + a_2 q'' = c        c: position command, same unit as q
     J = Kp a_2,  D = Kp a_1,  spring = Kp (a_0 - 1),  frictionloss = Kp Fc      Kp: of the position controller
@@ -31,7 +31,7 @@ from .._table.units import base_unit
 
 @runtime_checkable
 class Answer(Protocol):
-    """The attributes of a `Diagnosis` that this module uses."""
+    """The attributes of a `Diagnosis` that this module reads."""
 
     @property
     def model(self) -> Model | Fitted: ...
@@ -43,7 +43,7 @@ class Answer(Protocol):
 
 @dataclass(frozen=True)
 class Names:
-    """The name of a quantity in plain words and in three programs; a dash if a program lacks it."""
+    """The name of a parameter in plain words, in MuJoCo, PhysX and URDF; a dash if a program lacks it."""
 
     words: str
     mujoco: str = "-"
@@ -91,7 +91,7 @@ _NAMES = {
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of the simulator and of the robot.
+    """One parameter in the simulator and in the robot, with the difference and its standard error.
 
     Attributes:
         name, words: short and plain.
@@ -116,7 +116,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Units:
-    """Units of coefficients and forces, and the factor for their values.
+    """Units of the coefficients a_i and of forces, and the factor by which values are multiplied.
 
     `of[i]`: unit of a_i; `force`: of a force; `factor`: Kp where it is given, else 1.
     """
@@ -130,7 +130,10 @@ class Units:
 
 
 def units(record: Record, order: int, position_gain: float | None) -> Units:
-    """Return the units of the coefficients for this input; for position commands multiples of Kp, or its units."""
+    """Return the units of the coefficients for a record's input and output.
+
+    For position commands they are multiples of the position gain Kp, or torques if Kp is given.
+    """
     command, output = base_unit(record.voltage_unit), base_unit(record.displacement_unit)
     powers = ("", " s", *(f" s^{i}" for i in range(2, order + 1)))
     position = command == output
@@ -148,7 +151,7 @@ def units(record: Record, order: int, position_gain: float | None) -> Units:
 def parameters(
     nominal: Model | Fitted, robot: Answer, records: Sequence[Record], position_gain: float | None
 ) -> tuple[Parameter, ...]:
-    """Return every parameter that the simulator's model or the robot's has.
+    """Return every parameter that the model of the simulator or of the robot has.
 
     Args:
         nominal: the simulator's model, with the simulator's own effects.
@@ -184,7 +187,7 @@ def parameters(
 
 
 def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
-    """Return the robot's position gain over the simulator's if it alone explains all changed coefficients.
+    """Return the robot's position gain over the simulator's if that alone explains all changed coefficients, or None.
 
     Kp q + D q' + J q'' = Kp c: Kp times g keeps the steady output and divides D / Kp and J / Kp by g. Recordings of
     commands and angles cannot separate this from a smaller damping and inertia.
@@ -200,7 +203,7 @@ def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Uni
 
 @dataclass(frozen=True)
 class _Number:
-    """A value in the reported unit, the effects it belongs to, and its standard error."""
+    """One parameter value in the reported unit, with its standard error and the effects that contribute to it."""
 
     value: float
     unit: str
@@ -209,7 +212,9 @@ class _Number:
 
 
 def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Mapping]) -> dict[str, _Number]:
-    """Return the parameters of one model; the sum if several effects share one, the nearest for stops.
+    """Return the parameters of one model, by name; contributions of several effects are added.
+
+    Of several stops, the nearest counts.
 
     Args:
         model: of the simulator or of the robot.
@@ -232,7 +237,10 @@ def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Ma
 
 
 def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]]:
-    """Return coefficients of the simulator's order, and the other effects; a robot's third pole becomes a lag."""
+    """Return the linear coefficients of a model, and the effects that are not part of them.
+
+    A sensor lag is multiplied into the coefficients if the model's order is below the simulator's.
+    """
     a, others = model.physical_coefficients, []
     for effect in model.effects:
         if effect.name == "sensor_lag" and len(a) <= order:
@@ -244,7 +252,7 @@ def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]
 
 
 def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number]:
-    """Return gain, spring, damping and inertia; `moved`: factors on the nominal's coefficients, if fitted."""
+    """Return gain, stiffness, damping and inertia from coefficients; `moved` holds fitted factors with errors."""
     causes = frozenset(["parameter_change"])
     told = [moved.get(f"a_{i} over given") for i in range(len(a))]
     relative = [None if t is None or t["stderr"] is None else t["stderr"] / t["value"] for t in told]
@@ -260,7 +268,7 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
 
 
 def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
-    """Yield the contributions of one effect to the parameters of the simulator or the robot."""
+    """Yield the parameters to which one effect of a model contributes, with names and values."""
     base = base_units(units_of(model))  # a simulator's units
     told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
     errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
@@ -303,5 +311,5 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
 
 
 def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:
-    """Return the rows for JSON."""
+    """Return the parameters as a list of dicts for JSON."""
     return [vars(p) for p in told]

@@ -1,4 +1,4 @@
-"""The result of a diagnosis of a robot against a simulator."""
+"""Hold the result of a diagnosis of a robot against a simulator."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class SimToReal:
-    """The gap between a simulator and a robot.
+    """The differences between a robot and its simulator: parameters, missing effects, and how much they explain.
 
     Attributes:
         robot: diagnosis of the robot's records under the simulator's model.
@@ -48,22 +48,22 @@ class SimToReal:
 
     @property
     def verdict(self) -> str:
-        """Return the verdict of the robot's diagnosis."""
+        """Return the verdict on the robot's recordings under the simulator's model."""
         return self.robot.verdict
 
     @property
     def effects(self) -> tuple[str, ...]:
-        """Return the effects that the robot has and the simulator lacks."""
+        """Return the names of the effects that the robot has and the simulator lacks."""
         return self.robot.effects
 
     @property
     def model(self) -> Model | Fitted:
-        """Return the simulator's model with the robot's additional effects."""
+        """Return the model of the simulator with the effects that the robot has in addition."""
         return self.robot.model
 
     @property
     def budget(self) -> dict[str, Any]:
-        """Return the robot's budget with the simulator's part, taken from the unnamed part."""
+        """Return the parts of the error by cause, with the part due to the simulator's linear model."""
         share, low, high = self.simulator_share
         told = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
         left = share
@@ -75,7 +75,7 @@ class SimToReal:
         return told | {"simulator": {"share": share - left, "ci95": [low, high]}}
 
     def lines(self) -> list[str]:
-        """Return the table of parameters that differ, and remarks for the user, in sentences."""
+        """Write the parameters that differ, and remarks for the user, one sentence each."""
         found = []
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
@@ -89,7 +89,7 @@ class SimToReal:
         return [*gain, *found, *notes[len(gain) :]]
 
     def remarks(self) -> list[str]:
-        """Return remarks for the user on the parameters, in sentences."""
+        """Write remarks for the user on the parameters, one sentence each."""
         found = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
@@ -104,28 +104,28 @@ class SimToReal:
         return [*found, *self.pairs.remarks("robot", "simulator")]
 
     def __repr__(self) -> str:
-        """Return verdict and parameters, at most ten lines."""
+        """Write verdict and parameters in at most ten lines."""
         told = self.lines()
         more = [f"  and {len(told) - 7} more"] if len(told) > 8 else []
         head = f"SimToReal, {str(self.robot).splitlines()[0]}"
         return "\n".join([head, *(f"  {line}" for line in told[: 7 if more else 8]), *more])
 
     def __str__(self) -> str:
-        """Return the text for the terminal."""
+        """Write verdict, parameters and remarks for the terminal."""
         return "\n".join([*str(self.robot).splitlines(), *self.lines()])
 
     def _repr_html_(self) -> str:
-        """Return the first screen of its page."""
+        """Write headline and parameters as HTML, for notebooks."""
         from .page import first_screen
 
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """Return one row per parameter: simulator's value, robot's value, difference, and names in other programs."""
+        """Return a table with one row per parameter: simulator, robot, difference, and names in other programs."""
         return data_frame(as_rows(self.parameters))
 
     def as_json(self, csv: str | None = None) -> dict[str, Any]:
-        """Return the JSON of the robot's diagnosis, with the simulator's part and the parameters."""
+        """Return the diagnosis as a dict for JSON, with the simulator's part and the parameters."""
         pairs = [
             {
                 "robot": p.first.name,
@@ -142,7 +142,7 @@ class SimToReal:
 
 
 def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
-    """Return lines that a position gain explains all changed coefficients, with the alternative; empty if not."""
+    """Write that another position gain explains all changed coefficients, or nothing if none does."""
     gain = next((p for p in parameters if p.name == "position gain"), None)
     if gain is None:
         return []

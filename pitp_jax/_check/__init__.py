@@ -1,4 +1,4 @@
-"""Check: what was read, how each record starts, and whether the set is sufficient to identify and train on.
+"""Check what was read, how each record starts, and whether the records suffice to identify and train a model.
 
     records (+ model) -> per record: initial state, offset, direction, noise, faults, input
                       -> over the set: coverage near the resonance, repeats, records that do not belong, advice

@@ -1,4 +1,4 @@
-"""The check of every record and of the set, with advice.
+"""Check every record by itself, and all records together, and advise the user.
 
     faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit or given model)
                                       -> coverage, repeats -> advice
@@ -34,7 +34,7 @@ _FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
 
 @dataclass(frozen=True)
 class CheckedRecord:
-    """Facts about one record; None if unknown.
+    """Facts about one record as the check found them; None if unknown.
 
     Attributes:
         samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
@@ -70,7 +70,7 @@ class CheckedRecord:
     problems: tuple[str, ...] = ()
 
     def as_json(self) -> dict:
-        """Return the dict of docs/contract.md."""
+        """Return the record's entry in the JSON of `pitp check` (docs/contract.md)."""
         plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
         zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
         problems = [*map(str, self.repaired), *self.problems]
@@ -79,7 +79,7 @@ class CheckedRecord:
 
 @dataclass(frozen=True)
 class Check(Shown):
-    """The result of `check`.
+    """The result of `check`: facts on every record, advice, coverage of frequencies and amplitudes, repeated inputs.
 
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.
@@ -101,16 +101,16 @@ class Check(Shown):
 
     @property
     def problems(self) -> dict[str, tuple[str, ...]]:
-        """Return the problems of the records by name; repairs do not count."""
+        """Return the problems of single records, by record name; corrections while reading do not count."""
         return {name: row.problems for name, row in self.records.items() if row.problems}
 
     @property
     def repaired(self) -> list[str]:
-        """Return the repairs, one line for every kind."""
+        """Return the corrections made while reading, one line for every kind."""
         return by_kind([remark for row in self.records.values() for remark in row.repaired])
 
     def as_json(self) -> dict:
-        """Return the dict of docs/contract.md."""
+        """Return the JSON of `pitp check` as a dict (docs/contract.md)."""
         return {"records": {name: row.as_json() for name, row in self.records.items()}, "advice": list(self.advice)}
 
     def _rows(self) -> list[dict]:
@@ -125,7 +125,7 @@ class Check(Shown):
 
 
 def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Check:
-    """Check what was read, how each record starts, and whether the set is sufficient.
+    """Check what was read, how each record starts, and whether the records suffice for identification and training.
 
     Args:
         records: from `pitp.read`; records of an unusual sampling rate or kind of output are reported and left out of
@@ -147,7 +147,7 @@ def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Che
 
 
 def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
-    """Check records as `check` does, with files that could not be read (name: refusal)."""
+    """Check records as `check` does, and report the files that could not be read (name: refusal)."""
     check_records(records, empty=bool(refused))
     # The origin gives the unit of the model's output and its residual on its own records.
     model = None if model is None else fitted_of(model)
@@ -179,7 +179,7 @@ def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Ma
 
 
 def _named(records: Sequence[Record]) -> list[Record]:
-    """Return the records with unique names."""
+    """Give records of the same name a number, so that all names differ."""
     count, seen, named = Counter(r.name for r in records), Counter(), []
     for r in records:
         seen[r.name] += 1
@@ -188,7 +188,7 @@ def _named(records: Sequence[Record]) -> list[Record]:
 
 
 def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
-    """Return the records of another sampling rate or kind of output than most, each with its reason."""
+    """Return the records that differ from most in sampling rate or kind of output, by name, with the reason."""
     if not records:
         return {}
     # in steps of the tolerance, so that equal ones are counted together
@@ -208,7 +208,7 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
 
 
 def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:
-    """Return the row of one record, with the results of the fit or the model."""
+    """Return the facts about one record, with the results of the linear fit or of the given model."""
     unit, problems = record.displacement_unit, list(own.problems)
     begun: Beginning | None = None
     noise, colour, direction, e_rms = own.noise, None, None, None
@@ -239,7 +239,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
 
 
 def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:
-    """Return the names of records whose sensor is reversed relative to most."""
+    """Return the names of records in which the sensor is reversed relative to most records."""
     known = {name: row.direction for name, row in rows.items() if row.direction is not None}
     most = Counter(known.values()).most_common(1)
     return [name for name, direction in known.items() if direction != most[0][0]]

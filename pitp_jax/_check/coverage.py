@@ -1,4 +1,4 @@
-"""Force frequencies and amplitudes that were excited, and gaps near the resonance.
+"""Find the frequencies and amplitudes that recordings excite, and the gaps near the resonance.
 
     windows of 16 periods of the resonance:  lines that hold 80 % of the force's energy,  amplitude sqrt(2) std(u)
 
@@ -23,7 +23,7 @@ _HALF = 0.5
 
 @dataclass(frozen=True)
 class Coverage:
-    """Excited frequencies with amplitudes, and the gaps between them.
+    """Excited frequencies with their amplitudes, and the gaps between them near the resonance.
 
     Attributes:
         resonance: in Hz.
@@ -42,7 +42,7 @@ class Coverage:
     unit: str = "V"
 
     def advice(self) -> list[str]:
-        """Return a sentence for every gap, and one if the amplitude near the resonance never changes."""
+        """Write a sentence for every gap, and one if all inputs near the resonance have the same amplitude."""
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
             by = " (frequencies of the force; an input without bias runs at half of them)" if self.doubled else ""
@@ -67,12 +67,12 @@ class Coverage:
 
 
 def _two(value: float) -> str:
-    """Return a number with two digits, or as an integer from 100 on."""
+    """Write a number with two digits, or as an integer from 100 on."""
     return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
 
 
 def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Coverage | None:
-    """Return the coverage of a set; None if nothing is excited.
+    """Return the frequencies and amplitudes that the records excite, and the gaps; None if nothing is excited.
 
     Args:
         records: of one sampling rate.
@@ -111,7 +111,7 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
 
 
 def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
-    """Return the gaps between excited frequencies, and those to the ends of the range near the resonance."""
+    """Return the intervals (Hz) near the resonance that no strong input excites, the ends of the range included."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]

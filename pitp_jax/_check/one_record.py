@@ -1,4 +1,4 @@
-"""One record by itself: its input, the faults of its sensor and clock, its noise, and its problems.
+"""Check one record by itself: its input, the faults of sensor and clock, its noise, and its problems.
 
 band     frequencies between which 98 % of the input's energy about its mean lies
 noise    white: 5th difference (`noise_std`);  coloured: the residual's density far above input and resonance,
@@ -31,7 +31,7 @@ _MUCH = 0.05  # fraction of missing samples that is reported
 
 @dataclass(frozen=True)
 class Facts:
-    """Properties of one record that need no model.
+    """Facts about one record that need no model: input, noise, faults and problems.
 
     Attributes:
         excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.
@@ -55,7 +55,7 @@ class Facts:
 
 
 def masked(record: Record) -> Record:
-    """Return the record with sensor faults masked and counted as the reader does; unchanged if there are none."""
+    """Mask and count sensor faults as the reader does; the record is unchanged if there are none."""
     faults, seen = mask_faults(record.displacement, record.voltage), record.recognised
     if not (faults.outliers or faults.clipped):
         return record
@@ -64,7 +64,7 @@ def masked(record: Record) -> Record:
 
 
 def facts(record: Record) -> Facts:
-    """Return input, faults and noise of one record from `masked`."""
+    """Return input, faults, noise and problems of one record whose sensor faults are masked."""
     seen, unit = record.recognised, record.displacement_unit
     outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
     jitter = float(seen.get("jitter", _jitter(record)))
@@ -84,7 +84,7 @@ def facts(record: Record) -> Facts:
 
 
 def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:
-    """Return problems that no reader reports: many missing samples, no excitation, no motion, or coarse sampling."""
+    """Return problems that the reader does not report: missing samples, no excitation, no motion, coarse sampling."""
     problems = []
     if record.missing > _MUCH * record.samples:
         problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
@@ -105,7 +105,7 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
 
 
 def quick_problems(records: Sequence[Record]) -> list[str]:
-    """Return problems that need no fit, one line each, for commands that fit."""
+    """Return problems of records that show without a fit, one line each, for commands that fit anyway."""
     lines, reach = [], []
     for r in records:
         band = drive_band(r) if np.ptp(r.voltage) > 0 else None
@@ -120,7 +120,7 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
 
 
 def moves(record: Record) -> bool:
-    """Return whether the record's output moves beyond its noise."""
+    """Return whether the output of a record moves beyond the sensor noise."""
     try:
         return not in_motion([record])[1]
     except ValueError:
@@ -128,7 +128,7 @@ def moves(record: Record) -> bool:
 
 
 def drive_band(record: Record) -> tuple[float, float]:
-    """Return the frequencies (Hz) between which 98 % of the input's energy about its mean lies; equal for a sine."""
+    """Return the lowest and highest frequency (Hz) of the input, with 98 % of its energy between; equal for a sine."""
     if kind(record) == "sine":
         line = loudest(record)
         return line, line

@@ -1,4 +1,4 @@
-"""The check as one self-contained page: advice, records, coverage, and every record's output and input."""
+"""Write the check as one self-contained page: advice, records, coverage, and every record's output and input."""
 
 from collections.abc import Sequence
 
@@ -19,7 +19,7 @@ _DRAWN = 24  # records; a page with more is too long to read
 
 
 def page(check: Check) -> str:
-    """Return the check as a self-contained HTML page.
+    """Write the check as a self-contained HTML page.
 
     Args:
         check: result of `pitp check` for a set.
@@ -93,7 +93,7 @@ def _picture(name: str, drawn, caption: str) -> str:
 
 
 def _pictures(check: Check) -> list[str]:
-    """Return the section with a figure of every record's output and input."""
+    """Write the page's section with a figure of every record's output and input."""
     shown = [
         _picture(f"r{k}", _drawn(r), f"{r.name}: {check.records[r.name].excitation}, {_begins(check.records[r.name])}")
         for k, r in enumerate(check.understood[:_DRAWN])

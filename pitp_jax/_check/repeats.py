@@ -1,4 +1,4 @@
-"""Inputs that were played twice, and the difference of the responses: the part that no model can explain.
+"""Find inputs that were played twice, and the difference of their responses, which no model can explain.
 
 sigma^2 = mean (y_a - y_b - mean difference)^2 / 2       where  |u_a - u_b| < 1 % of its range
 """
@@ -17,7 +17,7 @@ _MOST = 400  # records; all pairs of them are compared
 
 @dataclass(frozen=True)
 class Repeat:
-    """Records of one input: their names, and the standard deviation of their differences (base unit)."""
+    """Records with the same input: names, and scatter of the outputs (base unit, and % of range)."""
 
     names: tuple[str, ...]
     sigma: float
@@ -25,7 +25,7 @@ class Repeat:
 
 
 def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
-    """Return groups of records with the same input; each record is in one group at most."""
+    """Group records with the same input; each record is in one group at most."""
     others, groups = list(records[:_MOST]), []
     while others:
         first = others.pop(0)
@@ -55,7 +55,7 @@ def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repea
 
 
 def cycles(records: Sequence[Record]) -> dict[str, float]:
-    """Return the scatter between the cycles of a periodic record, % of range, creep included, by name."""
+    """Return the scatter of the output between cycles of a periodic input, % of range, by record name."""
     scatter = {}
     for r in records:
         y = np.where(r.observed, r.displacement, 0.0)

@@ -1,4 +1,4 @@
-"""Advice on a set of records, one sentence each with numbers, the most important first."""
+"""Write advice on all records together, one sentence each with numbers, the most important first."""
 
 from collections.abc import Mapping, Sequence
 
@@ -21,7 +21,7 @@ def set_advice(
     rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
     cycles: Mapping[str, float], beside: Mapping[str, Explained], fitted: SetFit | None, turned: Sequence[str],
 ) -> list[str]:  # fmt: skip
-    """Return advice on the set, one sentence each.
+    """Write advice on all records together, one sentence each.
 
     Args:
         rows: checked records by name.
@@ -80,7 +80,7 @@ def set_advice(
 
 
 def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list[str]:
-    """Return a line if the sensor was moved between records; a linear fit's residual widens the tolerance."""
+    """Write a line if the sensor offset differs between records by more than its error; otherwise nothing."""
     known = [r for r in used if rows[r.name].zero is not None and rows[r.name].zero_stderr is not None]
     if len(known) < 2:
         return []
@@ -112,7 +112,7 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
 
 
 def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
-    """Return lines on the error floor that repeats show, or on missing repeats."""
+    """Write how well inputs that were played twice repeat, or that none was."""
     known = [r for r in repeats if np.isfinite(r.percent)]
     if known:
         worst = max(known, key=lambda r: r.percent)

@@ -1,4 +1,4 @@
-"""All records compared with one linear model of order 2: initial state, offset, direction, and membership in the set.
+"""Compare all records with one linear model of order 2: initial state, offset, direction, and which do not fit.
 
     F = map(u),   y_r = g_r x(t) + offset_r (+ a free response where it starts moving),    x: unit static gain
 
@@ -36,7 +36,7 @@ _TELLS = 4.0  # standard errors of a record's own gain from which its direction 
 
 @dataclass(frozen=True)
 class Beside:
-    """One record compared with the set's linear model.
+    """One record compared with the linear model that all records share.
 
     Attributes:
         beginning: initial state as `identify` would find it, with the rig's direction.
@@ -61,7 +61,7 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The common model: frequency (Hz), damping, median fraction unexplained, input map, and the compared records."""
+    """The linear model that all records share: frequency (Hz), damping, residual, input map, compared records."""
 
     natural_hz: float
     damping: float
@@ -71,7 +71,7 @@ class SetFit:
 
 
 def fit_set(records: Sequence[Record]) -> SetFit | None:
-    """Fit the records that move together; return None if nothing can be fitted.
+    """Fit one linear model of order 2 to all moving records; return None if nothing can be fitted.
 
     The force is the square of the voltage unless a linear one has less than half the residual.
     """
@@ -86,7 +86,7 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
 
 def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
-    """Return the fit with common poles, after excluding records that do not belong to the set."""
+    """Fit common poles to the records that belong together; return None if the fit fails."""
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))
@@ -112,7 +112,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
 
 
 def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
-    """Fit common poles (`linear_ode`) to some records, and compare every record with them."""
+    """Fit common poles to the records `kept`; return their logarithms, and every record compared with them."""
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
@@ -128,13 +128,13 @@ def _usual(rows: Sequence[Beside]) -> float:
 
 
 def _doubtful(rows: Sequence[Beside]) -> bool:
-    """Return whether the common poles are doubtful: two sensor directions, or a record that they do not explain."""
+    """Return whether common poles are doubtful: sensor directions differ, or some record does not fit them."""
     directions = {row.beginning.direction for row in rows if row.tells}
     return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 
 
 def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float], omega: float) -> Beginning:
-    """Return a plausible initial state: apparent motion may be an error of the linear model.
+    """Return a plausible initial state of a record: apparent motion may only be an error of the linear model.
 
     A record that is still at 0 V, or at the offset of those at rest, also starts at rest. Without `begun` only the
     first samples decide.
@@ -148,7 +148,7 @@ def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float]
 
 
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
-    """Return force and output averaged over blocks; a linear system preserves their relation."""
+    """Average input and output of all records over blocks; a linear system preserves their relation."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, total = records[0].dt, sum(r.samples for r in records)
     shortest = min(r.samples for r in records)
@@ -161,7 +161,7 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
 
 
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:
-    """Return gain and offset of one record by least squares; the direction is the gain's sign."""
+    """Fit gain and offset of one record at given poles by least squares; the gain's sign is the sensor direction."""
     dt, force, seen = record.dt, record.voltage, record.observed
     driven = respond(logs, force, step=dt, square=False, hold="foh", settled=begun.begins == "held")
     free, _ = coast(logs, record.samples, step=dt)
@@ -181,7 +181,7 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
 
 
 def _relative(rows: Sequence[Beside]) -> list[Beside]:
-    """Return the rows with gains relative to the median, and with the reason why a record does not belong."""
+    """Divide every record's gain by the median, and note why a record does not belong to the others."""
     gains = np.array([abs(row.gain) if row.tells else np.nan for row in rows])
     if not np.isfinite(gains).any():
         return [replace(row, gain=float("nan")) for row in rows]
@@ -201,7 +201,7 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
 
 
 def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
-    """Return why a record does not belong; empty if it does."""
+    """Write why a record does not belong to the others; empty if it does."""
     if off and not poor:
         near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
         if abs(np.log(gain / near)) < 0.3:

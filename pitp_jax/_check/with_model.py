@@ -1,4 +1,4 @@
-"""Records compared with a given model: how each starts, and which of them it does not explain.
+"""Compare records with a given model: how each record starts, and which of them the model does not explain.
 
     e_rms > 3 max(error on the model's own records, median of these)  and > 1 % of range,   or > 20 % of range
 
@@ -23,7 +23,7 @@ _TIMES, _LEAST, _MOST, _NOISES = 3.0, 1.0, 20.0, 2.0
 
 @dataclass(frozen=True)
 class Explained:
-    """One record compared with the model: initial state, error (% of range; None: diverged), noise and problem.
+    """One record compared with a model: initial state, error (% of range; None if diverged), noise and problem.
 
     `not_excited`: the sentence on what the model was not trained with.
     """
@@ -37,7 +37,7 @@ class Explained:
 
 
 def beside_model(model: Fitted, records: Sequence[Record]) -> dict[str, Explained]:
-    """Return the comparison of the model's free runs with records of one rate, by name."""
+    """Simulate records of one rate with the model, and compare each with its measurement; return results by name."""
     runs = predict(model, records)
     errors = [
         float(e_rms_percent(p.displacement, r.displacement, p.scored)) for p, r in zip(runs, records, strict=True)

@@ -1,1 +1,1 @@
-"""The commands of `pitp`, one module each: a function of the parsed arguments that prints the result."""
+"""The commands of `pitp`, one module each, with a function that runs the command and prints the result."""

@@ -10,7 +10,7 @@ from .recordings import open_both
 
 
 def adapt(model, records, out, json_file, reading) -> None:
-    """Adapt, write the model file, and print what changed.
+    """Adapt a model to a new recording, write the model file, and print what changed.
 
     Args:
         model: model file.
@@ -35,7 +35,7 @@ def adapt(model, records, out, json_file, reading) -> None:
 
 
 def print_adaptation(day: Adaptation) -> None:
-    """Print verdict, parameters and errors on standard output."""
+    """Print verdict, changed parameters, and errors before and after."""
     where = ", on the half of the recording that was held out" if day.heldout else ""
     print(f"{day.verdict}: {number(day.before, 3)} % of range before, {number(day.after, 3)} % after{where}")
     rows = []

@@ -1,4 +1,4 @@
-"""Numbers of the command line that may carry a unit: `3kV`, `20deg`, `5e4 V/s`.
+"""Parse numbers of the command line that may carry a unit: `3kV`, `20deg`, `5e4 V/s`.
 
 Without a unit a voltage is in V and a length in mm, and any other quantity in the unit of the model's records.
 """
@@ -13,7 +13,7 @@ from .._table.units import kind_of, spelt, to_base, units_of_kind
 
 
 class Amount(NamedTuple):
-    """A number and its unit as written, empty if there is none."""
+    """A number with its unit as the user wrote it; the unit is empty if there is none."""
 
     value: float
     unit: str
@@ -23,7 +23,7 @@ class Amount(NamedTuple):
 
 
 def amount(text: str) -> Amount | None:
-    """Split `3kV` into its number and its unit; return None if it is not a finite number with a unit."""
+    """Split text such as `3kV` into number and unit; return None if it is not a finite number with a known unit."""
     found = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", text)
     if found is None or not math.isfinite(float(found[1])):
         return None
@@ -34,7 +34,7 @@ def amount(text: str) -> Amount | None:
 
 
 def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool = False) -> float | None:
-    """Convert the value of an option to base units (per second for a rate); None stays None.
+    """Convert an option's value to base units (a rate: per second); None stays None.
 
     Args:
         given: the number with its unit.
@@ -57,7 +57,7 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
 
 
 def _unit_of_rate(unit: str) -> str:
-    """Return a unit without one `per second`: kV from kV/s, deg/s from deg/s2."""
+    """Remove one `per second` from a unit: kV from kV/s, deg/s from deg/s2; empty if there is none."""
     found = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
     if found is None:
         return ""

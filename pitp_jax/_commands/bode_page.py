@@ -1,4 +1,4 @@
-"""The page of an identification: measured frequency response, models of all orders, poles, reason for the order.
+"""Write the page of an identification: measured frequency response, models of all orders, poles, reason for the order.
 
 G(jw) = polarity e^{-jw delay} / sum_i a_i (jw)^i
 """
@@ -18,7 +18,7 @@ from .._table.quantity import grouped
 
 
 def bode_page(fits: Identification, name: str) -> str:
-    """Return a self-contained HTML page on the identification written to `name`."""
+    """Write an HTML page on an identification whose model file is `name`."""
     chosen = fits.chosen
     kind = f"hold {chosen.hold}"
     if chosen.static or chosen.integrates:
@@ -52,7 +52,7 @@ def bode_page(fits: Identification, name: str) -> str:
 
 
 def _why(fits: Identification) -> str:
-    """Return one sentence on the reason for this order."""
+    """Write in one sentence why this order was chosen."""
     chosen, known = fits.chosen, [o.order for o in fits.orders if o.identifiable]
     if len(fits.orders) == 1:
         return f"Order {chosen.order} was asked for."
@@ -84,7 +84,7 @@ def _poles(fit: OrderFit) -> list[tuple[str, str]]:
 
 
 def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
-    """Return the model's frequency response, output over force, shape (frequencies,)."""
+    """Return a linear model's frequency response, output over input (base units), shape (frequencies,)."""
     s = 2j * np.pi * hz
     return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
 
@@ -116,7 +116,7 @@ def _bode(fits: Identification) -> Figure:
 
 
 def _leaves(fits: Identification) -> str:
-    """Return the results of the residual tests in words."""
+    """Write in one sentence whether the residual is white and whether it depends on the input."""
     tested = fits.residuals
     own = "is white noise" if tested.white else "is correlated with its own past"
     drive = (

@@ -1,4 +1,4 @@
-"""Keep compiled programs between runs, in the user's cache folder; a second `pitp predict` compiles nothing."""
+"""Keep compiled programs in the user's cache folder, so that a second `pitp predict` compiles nothing."""
 
 import os
 import platform
@@ -11,7 +11,7 @@ _LARGEST = 2**30  # bytes; above it the least recently used programs are deleted
 
 
 def keep_programs(shortest: float) -> None:
-    """Set JAX's folder for compiled programs, before its import; environment settings take precedence.
+    """Choose the folder in which JAX keeps compiled programs; environment variables take precedence.
 
     Each computer has its own folder, because a home folder may be shared and programs are specific to a processor.
     Programs that compile in less than `shortest` seconds are not kept.

@@ -1,4 +1,4 @@
-"""`pitp check`: reports what was read, how each record starts, and whether the set is sufficient."""
+"""`pitp check`: reports what was read, how each record starts, and whether the records suffice."""
 
 import os
 from pathlib import Path
@@ -18,7 +18,7 @@ PAGE, SOURCE = "check.html", "source.toml"
 
 
 def check(records, model, out, json_file, reading) -> None:
-    """Check the records, write the requested files, and print the result.
+    """Check recordings, write the requested files, and print the result.
 
     Args:
         records: files and folders.

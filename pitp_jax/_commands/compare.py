@@ -1,4 +1,4 @@
-"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of records."""
+"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of recordings."""
 
 import json
 import math
@@ -19,7 +19,7 @@ PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
 
 
 def compare(a, b, out, json_file, reading) -> None:
-    """Compare the inputs, write the requested files, and print the differences.
+    """Compare two inputs, write the requested files, and print the differences.
 
     Args:
         a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
@@ -41,7 +41,7 @@ def compare(a, b, out, json_file, reading) -> None:
 
 
 def _opened(path: str, reading: dict):
-    """Return the model, the JSON of a diagnosis, or the records at a path."""
+    """Open a path as a model, as the JSON of a diagnosis, or as records."""
     place = Path(path)
     diagnosis = place / DIAGNOSIS if place.is_dir() else place
     if diagnosis.is_file() and diagnosis.suffix == ".json":
@@ -62,7 +62,7 @@ def _diagnosis(path: Path) -> dict:
 
 
 def _names(a: str, b: str) -> tuple[str, str]:
-    """Return file or folder names, or whole paths if the names are equal."""
+    """Return two short names for two paths: file or folder names, or the whole paths if those are equal."""
     short = (Path(a).name, Path(b).name)
     return short if short[0] != short[1] and all(short) else (a, b)
 

@@ -1,4 +1,4 @@
-"""Check whether a model and data can belong to the same actuator."""
+"""Check whether a model and recordings can belong to the same actuator."""
 
 from collections.abc import Sequence
 
@@ -11,7 +11,7 @@ from .console import say
 
 
 def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
-    """Refuse an output of another kind than the model's, such as volts for a model in metres.
+    """Refuse an output of another kind than the model's, for example volts for a model in metres.
 
     Raises:
         BadInput: naming both.
@@ -22,7 +22,7 @@ def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
 
 
 def check_belongs(model: Fitted, path: str, records: Sequence[Record]) -> None:
-    """Refuse records of another kind of output; warn about another sampling rate.
+    """Refuse records whose output is of another kind than the model's; warn about another sampling rate.
 
     Raises:
         BadInput: naming record and model.

@@ -1,4 +1,4 @@
-"""Console output of a command: lines and a progress bar on standard error, tables on standard output."""
+"""Print the output of a command: messages and progress on standard error, tables on standard output."""
 
 import shutil
 import sys
@@ -13,13 +13,13 @@ _REDRAW_S = 0.1
 
 
 def say(line: str) -> None:
-    """Print one line on standard error; it replaces a progress bar on a terminal."""
+    """Print one line on standard error, in place of a progress bar on a terminal."""
     clear = "\r\x1b[K" if sys.stderr.isatty() else ""
     print(f"{clear}pitp: {line}", file=sys.stderr, flush=True)
 
 
 def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
-    """Print columns on standard output, the first left-aligned, the others right-aligned."""
+    """Print a table on standard output, the first column left-aligned, the others right-aligned."""
     lines = [list(header), *map(list, rows)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     for line in lines:
@@ -28,20 +28,20 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 
 def duration(seconds: float) -> str:
-    """Return a duration in readable units; `?` if unknown."""
+    """Write a duration (s) in readable units; `?` if unknown."""
     if not 0 <= seconds < 1e6:
         return "?"
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 
 
 class ProgressBar:
-    """A progress display: redrawn in place on a terminal, a line every few seconds elsewhere."""
+    """A progress bar for training: redrawn in place on a terminal, a line every few seconds otherwise."""
 
     def __init__(self):
         self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
 
     def update(self, progress: Any) -> None:
-        """Show one `training.Progress`."""
+        """Show the state of the training, a `training.Progress`."""
         now, ends = time.monotonic(), progress.step >= progress.steps
         fresh = progress.stage != self._stage
         if not (fresh or ends or now - self._last >= (_REDRAW_S if self._tty else _EVERY_S)):
@@ -60,7 +60,7 @@ class ProgressBar:
 
 
 class StatusLine:
-    """A progress display for work of unknown length: the last step in place on a terminal, regular lines elsewhere.
+    """A progress line for work of unknown length: redrawn in place on a terminal, regular lines otherwise.
 
     A line `stage: step ...` is a step of its stage; any other line is an event, and always shown.
     """
@@ -69,7 +69,7 @@ class StatusLine:
         self._tty, self._last, self._stage = sys.stderr.isatty(), -1e9, None
 
     def update(self, line: str) -> None:
-        """Show one line."""
+        """Show one line of progress."""
         stage, colon, _ = line.partition(":")
         if not colon:
             say(line)
@@ -85,6 +85,6 @@ class StatusLine:
             say(line)
 
     def close(self) -> None:
-        """Clear the terminal's line for later output."""
+        """Clear the progress line on a terminal."""
         if self._tty:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

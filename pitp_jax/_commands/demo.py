@@ -1,4 +1,4 @@
-"""`pitp demo`: runs the paper's experiments on a virtual actuator, or a robot's joint with its simulator."""
+"""`pitp demo`: runs the paper's experiments on a virtual actuator, or simulates a robot's joint and its simulator."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -12,7 +12,7 @@ from .outputs import check_outputs, staged
 
 
 def demo(plant, out, quick, json_file=None) -> None:
-    """Run the demo, write its files, and print its tables.
+    """Run the demo for one virtual actuator, write its files, and print its tables.
 
     Args:
         plant: name of the virtual actuator, or "joint".
@@ -46,7 +46,7 @@ def demo(plant, out, quick, json_file=None) -> None:
 
 
 def _joint(out: str, quick: bool, json_file: str | None) -> None:
-    """Write the recordings of a joint and of its simulator, and print the differences between both."""
+    """Write recordings of a robot's joint and of its simulator, and print how the two differ."""
     check_outputs(json_file, folder=out, names=joint.recordings())
     _check_recordings(Path(out), joint.recordings())
     ideal, real = asdict(joint.IDEAL), asdict(joint.REAL)
@@ -63,7 +63,7 @@ def _joint(out: str, quick: bool, json_file: str | None) -> None:
 
 
 def _check_recordings(out: Path, names: set[str]) -> None:
-    """Refuse a folder with recordings of another demo, because a set of records must be of one actuator."""
+    """Refuse a folder that holds recordings of another demo: recordings in one folder must be of one actuator."""
     for home in sorted({name.split("/")[0] for name in names}):
         if (out / home).is_dir():
             others = sorted(p.name for p in (out / home).iterdir() if f"{home}/{p.name}" not in names)

@@ -1,4 +1,4 @@
-"""`pitp diagnose`: reports where recordings and a model (or simulator) disagree, and which missing effect causes it."""
+"""`pitp diagnose`: reports where recordings and a model or simulator disagree, and which missing effect causes it."""
 
 import os
 import shlex
@@ -48,7 +48,7 @@ def diagnose(
     records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
     joint=None, actuator=None, by_group=False,
 ) -> None:  # fmt: skip
-    """Diagnose the recordings, write the requested files, and print the result.
+    """Diagnose recordings, write the requested files, and print the result.
 
     Args:
         records: files and folders.
@@ -141,7 +141,7 @@ def _write(
     diagnosis: Diagnosis | SimToReal, augmented, input_unit: str, out: str | None, json_file: str | None,
     csv: str | None,
 ) -> set[str]:  # fmt: skip
-    """Write the result, then its pages; return the names of the files in the folder.
+    """Write the result, then the pages; return the names of the files written into the folder.
 
     The result is written first, so a failure or interrupt in a figure or sentence cannot lose it.
     """
@@ -174,7 +174,7 @@ def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
 
 
 def _by_group(records, against, out, json_file, reading, own: dict) -> None:
-    """Diagnose each group of the simulator's recordings with the robot's recordings paired with it.
+    """Diagnose each group of a simulator's recordings against the robot's recordings of the same commands.
 
     Raises:
         BadInput: a file holds recordings of several groups.
@@ -201,7 +201,7 @@ def _by_group(records, against, out, json_file, reading, own: dict) -> None:
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
-    """Write the changed MuJoCo file into the folder, and print the changes and the effects it cannot hold."""
+    """Write a changed MuJoCo file into the folder, and print the changes and the parameters that it cannot hold."""
     found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
     if found is not None:
         write_json(Path(out) / MJCF_JSON, found.as_json())
@@ -216,7 +216,7 @@ def _files_in(stage: Path) -> set[str]:
 
 
 def _attempt(what: str, make: Callable[[], T]) -> T | None:
-    """Call `make` for a part that only shows the result; report a failure and continue without it."""
+    """Call `make`; if it fails, print a warning and return None, so that the rest of the result is still written."""
     try:
         return make()
     except Exception as error:
@@ -228,7 +228,7 @@ def _attempt(what: str, make: Callable[[], T]) -> T | None:
 
 
 def _is_drive(file: Path) -> bool:
-    """Return whether a file is missing, or has a time and an input but no measurement."""
+    """Return whether pitp may overwrite a CSV file: it does not exist, or holds only time and input."""
     if not file.is_file():
         return True
     with open(file, encoding="utf-8", errors="replace") as stream:
@@ -236,7 +236,7 @@ def _is_drive(file: Path) -> bool:
 
 
 def _tidy(folder: Path, written: set[str]) -> None:
-    """Remove files of an earlier diagnosis that this one did not write, and report it."""
+    """Remove files that an earlier diagnosis wrote and this one did not, and print their names."""
     old = sorted(name for name in {*FILES} - written if (folder / name).is_file())
     for name in old:
         (folder / name).unlink()
@@ -245,7 +245,7 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
-    """Write the pages and their figures into an existing folder; any that fail are reported and left out."""
+    """Write the pages and their figures into a folder; those that fail are reported and left out."""
     robot = _robot_of(diagnosis)
 
     def write(name, drawing, columns=None):
@@ -264,7 +264,7 @@ def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
 
 
 def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
-    """Write the next experiment's input, if there is one."""
+    """Write the input of the proposed next experiment as CSV, if there is one."""
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
         drive = from_base(robot.next_experiment.voltage, unit)
@@ -272,7 +272,7 @@ def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:
-    """Print the verdict, then the candidates, or the simulator's parameters, clocks and paired recordings."""
+    """Print the verdict, then the ranking of effects or the table of simulator and robot parameters."""
     if not isinstance(diagnosis, SimToReal):
         print(diagnosis)
         _print_ranking(diagnosis)
@@ -288,7 +288,7 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
 
 
 def _print_ranking(diagnosis: Diagnosis) -> None:
-    """Print the best candidates; the reported effects are marked *, those tied with the first =."""
+    """Print the best candidate effects; * marks those that are reported, = those that fit as well as the first."""
     rows = []
     for r in diagnosis.ranking[:_ROWS]:
         mark = " =" if r.effect in diagnosis.equivalent else ""

@@ -1,4 +1,4 @@
-"""Run a command once per joint of a log, and print its JSON result on standard output."""
+"""Run a command once per robot joint in a log, and print its JSON result on standard output."""
 
 import sys
 import tempfile
@@ -10,7 +10,7 @@ _NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments wh
 
 
 def once_per_joint(arguments: dict) -> Iterator[dict]:
-    """Yield the arguments of a command: once, or for every joint with its columns and its outputs.
+    """Yield the arguments of a command once, or once per robot joint with its columns and output paths.
 
     Joints come from `--each NAME=INPUT,OUTPUT`, otherwise from `each` in the `pitp.toml` of a folder. An output folder
     gets a subfolder NAME per joint with links to the pages; an output file becomes `stem.NAME.suffix`.
@@ -49,7 +49,7 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
 
 
 def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
-    """Return the options of reading by joint; empty if neither the caller nor a folder names joints."""
+    """Return reading options by robot joint; empty if neither the caller nor `pitp.toml` names joints."""
     read_from = [v for key, v in arguments.items() if key not in _NO_RECORDS]
     paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]
     folders = {p if p.is_dir() else p.parent for p in paths if p.exists()}
@@ -66,14 +66,14 @@ def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
 
 
 def own_place(path: str, name: str) -> str:
-    """Return the output path of one joint: a file in the folder of the given one, or a subfolder."""
+    """Return the output path for one robot joint: `stem.NAME.suffix` for a file, a subfolder for a folder."""
     given = Path(path)
     return str(given.with_name(f"{given.stem}.{name}{given.suffix}") if given.suffix else given / name)
 
 
 @contextmanager
 def json_to_standard_output(arguments: dict) -> Iterator[None]:
-    """With `--json -`, print the JSON result on standard output, and all messages on standard error."""
+    """If the user gives `--json -`, print the JSON result on standard output and all messages on standard error."""
     if arguments.get("json_file") not in ("-", "/dev/stdout"):
         yield
         return

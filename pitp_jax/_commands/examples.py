@@ -1,4 +1,4 @@
-"""The end of every command's help: two examples that use files of `pitp demo --quick`, and a page to read."""
+"""Write the end of every command's help: two examples with files of `pitp demo --quick`, and a page to read."""
 
 _PAGES = {
     "docs/start.md": ("demo", "identify", "fit", "predict", "invert", "simulate", "info"),
@@ -60,6 +60,6 @@ EXAMPLES = {
 
 
 def ending(command: str) -> str:
-    """Return the text below a command's options."""
+    """Return the text below a command's options: examples and a page to read."""
     (page,) = [page for page, commands in _PAGES.items() if command in commands]
     return "\n".join(["examples:", *(f"  {line}" for line in EXAMPLES[command]), "", f"more: {page}"])

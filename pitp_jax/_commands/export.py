@@ -1,4 +1,4 @@
-"""`pitp export`: writes a model and its inverse for the rig, as C99, as an FMU or as MATLAB functions."""
+"""`pitp export`: writes a model and its inverse as code for the rig: C99, an FMU or MATLAB functions."""
 
 from dataclasses import asdict
 
@@ -10,7 +10,7 @@ from .outputs import check_outputs, write_json
 
 
 def export(model, to, out, steps, precision, time_constant, fmi, name, json_file=None) -> None:
-    """Write the folder and print its contents.
+    """Export a model to a folder, and print what the folder holds.
 
     Args:
         model: model file.

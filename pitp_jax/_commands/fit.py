@@ -32,7 +32,7 @@ def fit(
     records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None,
     structure="encoder",
 ) -> int:  # fmt: skip
-    """Train, write the model file, and print the history and the error of every record.
+    """Train a model, write the model file, and print the training history and the error on every record.
 
     Args:
         records: files and folders; all of them train.
@@ -114,7 +114,7 @@ def fit(
 
 
 def _structured(structure: str, fitting: Fitting, records: Sequence[Record], cross_validate: bool) -> Choice:
-    """Fit the records with the given structure, or with the one that "auto" chooses."""
+    """Fit records with the given model structure, or with the one that "auto" chooses."""
     if structure in ("physical", "both"):
         return impose(structure, fitting, records, cross_validate)
     done = train(fitting.nominal, records, settings=fitting.settings, key=fitting.key, progress=fitting.progress)
@@ -124,14 +124,14 @@ def _structured(structure: str, fitting: Fitting, records: Sequence[Record], cro
 
 
 def _structure_line(chosen: Choice) -> str:
-    """Return the chosen structure, its reason and the errors of all three."""
+    """Write the chosen structure, the reason, and the errors of all structures in one line."""
     errors = ", ".join(f"{s} {number(chosen.errors[s], 3)} %" for s in STRUCTURES if s in chosen.errors)
     beside = f"; e_rms on them in % of range: {errors}" if errors else ""
     return f"structure: {chosen.structure} ({chosen.reason}{beside})"
 
 
 def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:
-    """Write the page of free runs with the training records."""
+    """Write the page that compares simulations of the model with the training records."""
     from .fit_page import fit_page  # imported here, because matplotlib takes half a second
 
     runs = predict(model, records)
@@ -141,7 +141,7 @@ def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) ->
 
 
 def _given(path: str, order, input_map) -> Fitted:
-    """Return the nominal model of that file, unless the options contradict it."""
+    """Load the nominal model from a file; refuse options that contradict it."""
     model = load(path)
     if order not in (None, "auto", model.order):
         raise BadInput(f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out")
@@ -151,7 +151,7 @@ def _given(path: str, order, input_map) -> Fitted:
 
 
 def _identified(records, order, input_map) -> Identification:
-    """Return a nominal identified on the sweeps among the records, otherwise on all."""
+    """Identify a nominal model on the sweeps among the records, or on all records if there is no sweep."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")

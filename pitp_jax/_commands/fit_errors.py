@@ -1,4 +1,4 @@
-"""Errors of every record: of the nominal, of the trained model, and of models of the other records."""
+"""Report the error of every record: of the nominal model, the trained model, and models trained without that record."""
 
 from collections.abc import Sequence
 from statistics import median
@@ -18,7 +18,7 @@ _HALF = 0.5  # of the identification's residual
 def explained(
     errors: Sequence[RecordError], records: Sequence[Record], first: Identification | None
 ) -> tuple[bool, str | None]:
-    """Return whether a trained model explains its records at all, and a warning if it explains little.
+    """Return whether a trained model explains its training records at all, and a warning if it explains little.
 
     Args:
         errors: of the trained model.
@@ -43,7 +43,7 @@ def explained(
 
 
 def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> None:
-    """Print the errors of every record: of the nominal, the trained model and, if given, a model of the others."""
+    """Print the error of every record: of the nominal model, the trained one and, if known, one trained without it."""
     rows: list[tuple[str, ...]] = [(e.name, number(e.nominal, 3), number(e.trained, 3)) for e in errors]
     header = ("record, e_rms in % of range", "nominal", "trained")
     if held_out:
@@ -55,7 +55,7 @@ def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> 
 
 
 def suspects(held_out: Sequence[HeldOut]) -> list[str]:
-    """Return a line for every record that models of the others do not predict."""
+    """Write a line for every record that a model trained without it does not predict."""
     lines = []
     for h in held_out:
         if h.suspect:
@@ -65,7 +65,7 @@ def suspects(held_out: Sequence[HeldOut]) -> list[str]:
 
 
 def errors_json(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> dict:
-    """Return the errors of every record for JSON."""
+    """Return the errors of every record as a dict for JSON."""
     predicted = {h.name: {"left_out_e_rms_percent": h.predicted, "problem": h.problem or None} for h in held_out}
     rows = {
         e.name: {"nominal_e_rms_percent": e.nominal, "trained_e_rms_percent": e.trained, **predicted.get(e.name, {})}

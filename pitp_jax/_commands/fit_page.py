@@ -1,4 +1,4 @@
-"""The page of a fit: free runs with their records, errors, tokens and spectra.
+"""Write the page of a trained model: simulations over their records, errors, coefficients and spectra.
 
 e_rms by input frequency and stroke,   tokens sigma_i(x) / a_i at standstill over the stroke,
 time constants of the memory,   spectrum of predicted - measured beside the measured one
@@ -35,7 +35,7 @@ _SHOWN = 12  # records drawn, the worst first
 def fit_page(
     model: Fitted, records: Sequence[Record], predictions: Sequence[Prediction], scores: dict, name: str
 ) -> str:
-    """Return a self-contained HTML page on the fit.
+    """Write an HTML page that compares simulations of a trained model with records.
 
     Args:
         model: the fitted model.
@@ -118,7 +118,7 @@ def _cards(model: Fitted, records, predictions, scores) -> list[str]:
 
 
 def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: Sequence[Prediction]) -> list[str]:
-    """Return the time constants as text, with a mark for those that the records do not determine.
+    """Write the model's memory time constants as text, with a mark for those that the records do not determine.
 
     J_k = dx / d ln tau_k,   covariance of ln tau = s^2 (J'J)^-1 (samples / independent ones)
 
@@ -165,7 +165,7 @@ def _run(record: Record, run: Prediction) -> Figure:
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
-    """Draw one dot per record, coloured by the kind of input, with its error as text."""
+    """Draw one dot per record by frequency and stroke, coloured by the kind of input, with the error as text."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit = records[0].displacement_unit
     kinds = [kind(r) for r in records]
@@ -184,7 +184,7 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Figure:
 
 
 def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
-    """Draw median densities over records of one sampling rate."""
+    """Draw the spectra of output and error, as medians over records of one sampling rate."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     unit, size = pairs[0][0].displacement_unit, min(4096, *(r.samples for r, _ in pairs))
     for color, label, signal in (
@@ -202,7 +202,7 @@ def _colour(pairs: Sequence[tuple[Record, Prediction]]) -> Figure:
 
 
 def _tokens(model: Fitted) -> Figure:
-    """Draw the factors of all tokens over the trained displacements."""
+    """Draw the factor on each nominal coefficient at standstill over the trained displacements."""
     ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
     low, high = model.domain.region[0]
     x = jnp.linspace(low, high, 60)

@@ -1,4 +1,4 @@
-"""`pitp identify`: fits a linear model of the right order to records."""
+"""`pitp identify`: fits a linear model of the lowest sufficient order to records."""
 
 from .._identify.identification import Identification
 from .._identify.identification import identify as run_identify
@@ -18,7 +18,7 @@ _MODEL_ERROR = 3.0  # times the noise: beyond it, nine tenths of the residual's 
 
 
 def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> int:
-    """Identify, write the model file, and print the comparison of orders.
+    """Identify a linear model, write the model file, and print the comparison of orders.
 
     Args:
         records: files and folders.
@@ -76,7 +76,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
 
 
 def print_orders(identified: Identification, unit: str) -> None:
-    """Print the compared orders, the chosen one marked."""
+    """Print the compared orders; the chosen one is marked *."""
     rows = []
     for fit in identified.orders:
         order = f"{fit.order} *" if fit.order == identified.chosen.order else f"{fit.order}"
@@ -89,7 +89,7 @@ def print_orders(identified: Identification, unit: str) -> None:
 
 
 def delay_text(identified) -> str:
-    """Return the delay as text, with its hold and the delay under the other hold."""
+    """Write the fitted delay, and the delay if the input behaved otherwise (held or linear) between samples."""
     delay, stderr = (1e3 * v for v in (identified.chosen.delay, identified.chosen.delay_stderr))
     half = 500 * identified.model.dt
     if identified.model.hold == "zoh":

@@ -1,4 +1,4 @@
-"""`pitp info`: reports the content and the origin of a model file."""
+"""`pitp info`: prints what a model file holds and how the model was made."""
 
 from .._errors import BadInput
 from .._model.fitted import Fitted
@@ -10,7 +10,7 @@ from .reports import print_model
 
 
 def info(model, others, json_file) -> None:
-    """Print a model's order, coefficients, modes, history and lineage.
+    """Print a model's order, coefficients, modes, training history and lineage.
 
     Args:
         model: model file.
@@ -31,7 +31,7 @@ def info(model, others, json_file) -> None:
 
 
 def traced(model: Fitted) -> dict:
-    """Return `describe`, the file's digest, its adaptations, and its lineage."""
+    """Return the model in plain values, with the file's checksum, adaptations and lineage."""
     origin = model.origin
     return {
         **describe(model),
@@ -42,7 +42,7 @@ def traced(model: Fitted) -> dict:
 
 
 def print_lineage(summary: dict) -> None:
-    """Print every step of the lineage with the checksums of its recordings."""
+    """Print adaptations and every step by which the model was made, with checksums of the recordings."""
     for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
             low, high = c["ci95"]

@@ -1,4 +1,4 @@
-"""`pitp invert`: computes the voltage for a wanted trajectory, at the rate of the rig's DAQ."""
+"""`pitp invert`: computes the voltage for a wanted motion, at the rate of the rig's DAQ."""
 
 import numpy as np
 
@@ -28,7 +28,7 @@ def invert(
     model, target, out, max_voltage, max_slew, max_displacement, zero, start_input, rate, unit, input_scale, json_file,
     reading,
 ) -> None:  # fmt: skip
-    """Invert, write the voltage, and print how much of the target is out of reach.
+    """Compute the voltage for a wanted motion, write it, and print how much of the motion is out of reach.
 
     Args:
         model: model file.
@@ -77,7 +77,7 @@ def invert(
 
 
 def _counts(planned: Feedforward) -> dict:
-    """Return the values of the JSON file."""
+    """Return the result's counts and errors for the JSON file."""
     own = np.flatnonzero(planned.target)
     return {
         "samples": len(planned.time),
@@ -91,7 +91,7 @@ def _counts(planned: Feedforward) -> dict:
 
 
 def _columns(planned: Feedforward, played: Quantity, length: str, input_scale: float) -> dict[str, np.ndarray]:
-    """Return the columns of the file: the input divided by the amplifier's gain, the target in its own unit."""
+    """Return the columns of the CSV: the input divided by the amplifier's gain, the target in the unit of its file."""
     return {
         "time_s": planned.time - planned.time[0],
         column_name("voltage", played.unit): played.shown(planned.voltage) / input_scale,
@@ -102,7 +102,7 @@ def _columns(planned: Feedforward, played: Quantity, length: str, input_scale: f
 
 
 def _unit_to_write(unit: str | None, units: Units) -> Quantity:
-    """Return the input in the requested unit.
+    """Return the unit in which the input is written: the one that the user states, otherwise the model's.
 
     Raises:
         BadInput: a unit of another kind.
@@ -119,7 +119,7 @@ def _unit_to_write(unit: str | None, units: Units) -> Quantity:
 
 
 def _expect(model: Fitted, planned: Feedforward) -> None:
-    """Print the expected tracking error, or that it is not known for this target."""
+    """Print the tracking error to expect, or that it is not known for this target."""
     if planned.outside_training_share > WORTH_A_LINE:
         print("expected tracking error: not known, because the model was not trained with such a motion")
     elif expected := expected_error(model, planned.wanted):

@@ -1,4 +1,4 @@
-"""Decide which files an output may replace: only those that pitp wrote.
+"""Decide which existing files an output may replace: only those that pitp wrote.
 
 ours:    a model file,    JSON,    a CSV with columns that only pitp writes,    a MuJoCo file with our comment,
          files beside a page of ours
@@ -19,7 +19,7 @@ _RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 
 def allow_overwriting(forced: bool) -> None:
-    """Store whether `--force` was given."""
+    """Store whether the user gave `--force`, which allows replacing files that pitp did not write."""
     _FORCED.set(forced)
 
 
@@ -45,7 +45,7 @@ def check_replaceable(file: Path, shown: object) -> None:
 
 
 def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) -> None:
-    """Refuse to replace a user's files of the same names in a folder without a page of pitp.
+    """Refuse to replace a user's files in a folder that holds no page of pitp.
 
     Args:
         folder: to be written to.
@@ -65,5 +65,5 @@ def check_folder_replaceable(folder: Path, names: Iterable[str], shown: object) 
 
 
 def is_page(file: Path) -> bool:
-    """Return whether a file is a page that pitp wrote."""
+    """Return whether a file is an HTML page that pitp wrote."""
     return file.is_file() and b"--ink" in file.read_bytes()[:_HEAD]

@@ -1,4 +1,4 @@
-"""Output files: checked before the computation, written completely or not at all after it.
+"""Write the output files of a command completely or not at all, and check them before the computation.
 
 check_outputs   before the computation: the place can be written to, and no input file is replaced
 staged          hidden files beside the wanted ones -> renamed once every one is written; a page gets its index.html
@@ -33,7 +33,7 @@ def check_outputs(
     names: Iterable[str] = (),
     inputs: Iterable[str | os.PathLike | None] = (),
 ) -> None:
-    """Refuse outputs that could not be written, or would replace each other or an input.
+    """Refuse outputs that cannot be written, or that would replace each other or an input.
 
     Args:
         *files: to be written; None is skipped.
@@ -88,7 +88,7 @@ def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
 def staged(
     *, file: str | None = None, folder: str | os.PathLike | None = None, json_file: str | None = None, value: Any = None
 ) -> Iterator[Path]:
-    """Yield a hidden path for a command's output; all of it appears at the end, or nothing after a failure.
+    """Yield a hidden path for a command's output, which is renamed at the end; after a failure nothing appears.
 
     Args:
         file: wanted file, whose hidden name is yielded; a device is written to directly.
@@ -154,7 +154,7 @@ def _staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
 
 
 def write_index(folder: Path, stage: Path) -> None:
-    """Write `index.html` with links to the pages of a folder and its subfolders; a user's own index stays.
+    """Write `index.html` with links to the pages in a folder and its subfolders; a user's own index is kept.
 
     Args:
         folder: where the pages are to be.
@@ -184,7 +184,7 @@ def _missing_parents(target: Path) -> list[Path]:
 
 
 def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) -> None:
-    """Write a result as JSON, completely or not at all, unless the path is None; non-finite values become null.
+    """Write a result as JSON, completely or not at all; numbers that are not finite become null.
 
     Its first key, `written_by`, identifies files of pitp.
 
@@ -197,7 +197,7 @@ def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) 
 
 
 def without_nan(value: Any) -> Any:
-    """Return values for JSON: NumPy's become Python's, nan and infinity None."""
+    """Convert values for JSON: NumPy values to Python's, nan and infinity to None."""
     if isinstance(value, dict):
         return {str(k): without_nan(v) for k, v in value.items()}
     if isinstance(value, (list, tuple, np.ndarray)):

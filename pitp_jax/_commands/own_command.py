@@ -1,4 +1,4 @@
-"""Convert the command that a refusal proposes into the command that was run.
+"""Rewrite the command that a refusal proposes (`pitp check`) as the command that the user ran.
 
 ...; try: pitp check FILE --option VALUE        ->  try: pitp identify FILE --out M --option VALUE
 for two sets of files                            ->  write into FOLDER/pitp.toml: "*" = {option = "VALUE"}
@@ -17,7 +17,7 @@ _OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
 
 
 def own_command(text: str, argv: Sequence[str]) -> str:
-    """Return a refusal with its command rewritten, or unchanged if the new command would be too long."""
+    """Return a refusal with the proposed command rewritten for `argv`; unchanged if that would be too long."""
     head, mark, command = text.rpartition(_MARK)
     if not mark or not argv or argv[0] == "check":
         return text
@@ -38,7 +38,7 @@ def own_command(text: str, argv: Sequence[str]) -> str:
 
 
 def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
-    """Return the arguments without these options and their values, because a repeated option is refused."""
+    """Remove options and their values from arguments, because a repeated option is refused."""
     words, k = [], 0
     while k < len(argv):
         if argv[k] in names:
@@ -53,7 +53,7 @@ def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
 
 
 def _value(option: str, values: Sequence[str]) -> str:
-    """Return the value of an option as TOML; joined files are in the folder."""
+    """Write the value of an option as TOML; joined files are named without their folder."""
     if option == "--join":
         return json.dumps([os.path.basename(value) for value in values], ensure_ascii=False)
     return json.dumps(values[0], ensure_ascii=False)

@@ -1,4 +1,4 @@
-"""`pitp plan`: proposes recordings to take, as CSV to play, a page on their purpose, and plan.json."""
+"""`pitp plan`: proposes recordings to take, as CSV files to play, a page with their purpose, and plan.json."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -27,7 +27,7 @@ PAGE, JSON = "plan.html", "plan.json"
 def plan(
     paths, out, choose_from, max_voltage, max_slew, max_displacement, band, reading, json_file=None, **more
 ) -> None:
-    """Plan, write the inputs, the page and the JSON, and print the order.
+    """Plan recordings, write the inputs, the page and the JSON, and print them in order.
 
     Args:
         paths: none, or a model file and the records it was trained on.
@@ -73,7 +73,7 @@ def plan(
 
 
 def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
-    """Return the model file and the records of the arguments, which may have any order."""
+    """Separate the paths, given in any order, into the model file and the recordings."""
     if not paths:
         return None, []
     models = [p for p in paths if Path(p).is_file() and is_model_file(p)]
@@ -84,7 +84,7 @@ def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
 
 
 def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
-    """Return the units of a first session: those of the limits, V and m if they have none."""
+    """Return the units of a first session: those of the stated limits, otherwise V and m."""
     units = [spelt(given.unit) if given and given.unit else None for given in (largest, farthest)]
     return Units(Quantity(units[0] or "V"), Quantity(units[1] or "m"))
 

@@ -1,4 +1,4 @@
-"""`pitp predict`: runs a model freely for every record and reports the errors."""
+"""`pitp predict`: simulates a model under the input of every record and reports the errors."""
 
 import math
 import statistics
@@ -23,7 +23,7 @@ from .reports import print_sensors
 
 
 def predict(model, records, out, json_file, reading) -> None:
-    """Predict, write the requested files, and print the scores.
+    """Simulate every record, write the requested files, and print the errors.
 
     Args:
         model: model file.
@@ -59,7 +59,7 @@ def predict(model, records, out, json_file, reading) -> None:
 
 
 def score(record: Record, prediction: Prediction) -> dict:
-    """Return one record's row of the result; a diverged one has no figures.
+    """Return the errors and counts of one record; the errors are None if the simulation diverged.
 
     `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
     the ones the initial state was estimated from. `rmse` is in the record's own unit.
@@ -98,7 +98,7 @@ def _finite(value: float) -> float | None:
 
 
 def median_e_rms(rows: Sequence[dict]) -> float | None:
-    """Return the median over records, a diverged one as infinite; None if it is infinite or no record has a figure."""
+    """Return the median error over records, % of range; None if it is infinite or there is no error."""
     values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
     values = [value for value in values if value is not None]
     return _finite(statistics.median(values)) if values else None
@@ -117,7 +117,7 @@ def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
 
 
 def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:
-    """Return initial states with grouped offsets: one group if none is farther from their median than its tolerance.
+    """Return initial states in which records with an unusual sensor offset form a second group.
 
     The tolerance is 4 standard errors and 0.2 % of the record's range; an unknown offset is ignored.
     """
@@ -131,7 +131,7 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
 
 
 def _shown(expected: Expected | None, prediction: Prediction) -> str:
-    """Return the error to expect as text; unknown where the model was not trained with the input."""
+    """Write the error to expect for a record, or `unknown` where the model was not trained with such an input."""
     if prediction.not_excited:
         return "unknown"
     return "-" if expected is None else number(expected.percent, 2)

@@ -14,7 +14,7 @@ from .console import say
 
 
 def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[Record, ...]:
-    """Read records, and report what was recognised, what was masked, and what looks wrong.
+    """Read recordings, and print what was recognised, what was masked, and what looks wrong.
 
     Args:
         paths: files and folders.
@@ -34,7 +34,7 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
 
 
 def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted, tuple[Record, ...]]:
-    """Load a model and read records that can belong to it, as `read_records` does.
+    """Load a model, and read recordings that can belong to it.
 
     Args:
         model: model file.
@@ -51,7 +51,7 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
 
 
 def warn(records: Sequence[Record]) -> None:
-    """Print the fast warnings of `pitp check` on standard error, for commands that fit."""
+    """Print the warnings of `pitp check` that need no fit, on standard error."""
     from .._check.one_record import quick_problems  # imported here: a third of a command's modules
 
     for line in quick_problems(records):
@@ -59,7 +59,7 @@ def warn(records: Sequence[Record]) -> None:
 
 
 def recognised(records: Sequence[Record]) -> list[str]:
-    """Return a line for every kind of file among the records, then one for every kind of remark."""
+    """Write a line for every kind of file among the records, then one for every kind of remark."""
     kinds: dict[str, list[str]] = {}
     remarks: list[Remark] = []
     for record in records:
@@ -78,5 +78,5 @@ def _some(names: Sequence[str]) -> str:
 
 
 def is_square(model: Fitted) -> bool:
-    """Return whether a model's force is the square of the voltage."""
+    """Return whether the square of the voltage drives the model (otherwise the voltage itself)."""
     return isinstance(model.input_map, SquareInput)

@@ -1,4 +1,4 @@
-"""Text about a model that `identify`, `fit` and `info` print."""
+"""Print text about a model, for `identify`, `fit` and `info`."""
 
 import math
 
@@ -14,7 +14,7 @@ _HOLDS = {"foh": "linear between samples", "zoh": "held between samples", "bandl
 
 
 def print_model(model: Fitted, summary: dict) -> None:
-    """Print a model: its `describe` and its sensor's offset and direction."""
+    """Print a model: its order, coefficients, modes, effects, and the sensor's offset and direction."""
     units = units_of(model)
     print(f"{summary['kind']} model of order {summary['order']}, input map {summary['input_map']}")
     if summary["fallback"]:
@@ -60,7 +60,7 @@ def _print_training(summary: dict) -> None:
 
 
 def print_history(history) -> None:
-    """Print losses per stage of training, one line per entry, whatever its keys."""
+    """Print the losses of each training stage, one line per entry."""
     for entry in history:
         parts = [f"{k} {_short(v)}" for k, v in entry.items() if k != "stage"]
         print(f"  stage {entry.get('stage', '?')}: {', '.join(parts)}")
@@ -73,7 +73,7 @@ def _short(value) -> str:
 
 
 def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
-    """Print records that do not start at rest, and offsets and directions that differ from most records."""
+    """Print which records do not start at rest, and which sensor offsets and directions are unusual."""
     for kind, line in (
         ("held", "start settled at a held input: {}"),
         ("moving", "start moving (initial state estimated): {}"),
@@ -89,7 +89,7 @@ def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
 
 
 def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
-    """Print the records with a reversed sensor, and sensor offsets that differ between records."""
+    """Print which records have a reversed sensor, and the sensor offsets if they differ between records."""
     if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
         print(f"reversed sensor (its reading decreases as the actuator extends): {listed(reversed_ones)}")
     if len({b.group for b in beginnings.values()}) > 1:
@@ -102,6 +102,6 @@ def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
 
 
 def listed(names, most: int = 4) -> str:
-    """Return `3 records (a, b, c)`, the first few by name."""
+    """Write a count of records and the first names: `3 recordings (a, b, c)`."""
     shown = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
     return f"{len(names)} recording{'' if len(names) == 1 else 's'} ({shown})"

@@ -22,7 +22,7 @@ from .outputs import check_outputs, staged
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
-    """Simulate, write the requested files, and print the ranges.
+    """Simulate the model under voltages from files, write the requested files, and print the ranges.
 
     Args:
         model: model file.
@@ -62,7 +62,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
-    """Print what was recognised, and the voltages outside the model's range."""
+    """Print what was recognised in the files, and which voltages lie outside the model's range."""
     for drive in drives:
         for line in drive.remarks:
             say(line)

@@ -1,4 +1,4 @@
-"""`pitp verify`: compares a robot with its MuJoCo model before and after a change of the file."""
+"""`pitp verify`: compares a robot with its MuJoCo model, before and after the file was changed."""
 
 from .._errors import BadInput, ComputationFailed
 from .._mjcf import Verification, verify_mjcf
@@ -12,7 +12,7 @@ from .recordings import read_records
 
 
 def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, reading) -> None:
-    """Play the recordings' commands in MuJoCo, write the requested files, and print the gaps.
+    """Simulate the recorded commands in MuJoCo, write the requested files, and print the errors.
 
     Args:
         records: files and folders: recordings that the diagnosis used.
@@ -55,7 +55,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
 
 
 def one_joint(joint: list[str] | None) -> str:
-    """Return the only joint named.
+    """Return the name of the joint if exactly one is given.
 
     Raises:
         BadInput: none or several.

@@ -1,4 +1,4 @@
-"""Align two recordings by their commands: the lag, the size and the sign at which one command is the other.
+"""Align two recordings by their commands: the time lag, size ratio and sign at which the commands agree.
 
     rho(k) = sum_i (a_i - mean a) (b_{i+k} - mean b) / (T_k std a std b)      over the T_k samples that overlap at lag k
     offset = argmin_d sum_t (a(t) - s b(t - d))^2                             Gauss-Newton on interpolated samples
@@ -24,7 +24,7 @@ _WORTH_REFINING = 0.7  # half a sample of lag turns a sine of four samples a per
 
 @dataclass(frozen=True)
 class Alignment:
-    """The alignment of one command with another.
+    """The agreement of one command with another: correlation, time offset, size ratio and difference.
 
     Attributes:
         correlation: of the two commands where they overlap; negative for a mirrored command.
@@ -40,7 +40,7 @@ class Alignment:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the two commands are equal, up to their sign."""
+        """Return whether the two commands are equal except for time offset and sign."""
         return abs(self.correlation) >= ALIKE and abs(self.size - 1) <= _SAME_SIZE
 
 
@@ -48,7 +48,9 @@ _NOTHING = Alignment(0.0, 0.0, np.inf, np.inf)
 
 
 def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
-    """Search all lags on a common grid, then refine the best between samples.
+    """Find the time offset at which two commands agree best, once with equal and once with opposite sign.
+
+    All lags are tried on a common grid, then the best is refined between samples.
 
     Returns:
         the alignment with the same sign, and that with the opposite sign.
@@ -80,7 +82,7 @@ def _on_grid(record: Record, dt: float) -> np.ndarray:
 
 
 def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return lags k (x_i beside y_{i-k}) with enough overlap, and the correlation at each."""
+    """Correlate two commands at all lags with enough overlap; return lags k (x_i beside y_{i-k}) and correlations."""
     lags = np.arange(-(len(y) - 1), len(x))
     low, high = np.maximum(0, lags), np.minimum(len(x), lags + len(y))
     enough = (high - low) >= _OVERLAP * min(len(x), len(y))
@@ -103,7 +105,7 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _refined(a: Record, b: Record, coarse: Alignment, sign: int) -> Alignment:
-    """Refine the offset between samples, and measure the difference of the commands there."""
+    """Refine the time offset of two commands between samples, and measure how much they differ there."""
     step, offset = max(a.dt, b.dt), coarse.offset
     for _ in range(8):
         inside, x, y = _overlap(a, b, offset, sign)

@@ -38,7 +38,7 @@ _PERIODS, _MOST = 60, 20_000  # of the faster model in the sweep; its samples
 
 @dataclass(frozen=True)
 class Behaviour:
-    """The responses of one model to the common inputs; standard errors None if the model's own error is unknown.
+    """The responses of one model to the inputs that both models know, with standard errors (None: error unknown).
 
     Attributes:
         run: displacement in the sweep from its first sample on, m.
@@ -58,7 +58,7 @@ class Behaviour:
 
 
 def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | None]:
-    """Compare settled displacement, stiffness, resonance and damping at three inputs, and the free runs of a sweep.
+    """Compare displacement, stiffness, resonance and damping of two models at three inputs, and one simulated sweep.
 
     Returns:
         rows, and a sentence with the reason if there are none; one of the two is empty.
@@ -95,7 +95,7 @@ def _common_range(a: Fitted, b: Fitted) -> tuple[float, float]:
 
 
 def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, float]:
-    """Return a sweep of the input from a twentieth to twice the higher resonance, and its sampling interval (s)."""
+    """Return a sweep of the input up to twice the higher resonance of two models, and its sampling interval (s)."""
     hertz = max(m.natural_frequency for m in (a, b)) / (2 * np.pi)
     duration = _PERIODS / hertz
     dt = max(min(a.dt, b.dt), duration / _MOST)
@@ -122,7 +122,7 @@ def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarr
 
 
 def own_error(fitted: Fitted) -> float | None:
-    """Return the rms error on the model's own recordings, % of range; None if unknown."""
+    """Return the model's rms error on its training recordings, % of range; None if unknown."""
     training = fitted.origin.training or {}
     errors = [pair[1] for pair in training.get("errors", {}).values()]
     if errors:
@@ -131,13 +131,13 @@ def own_error(fitted: Fitted) -> float | None:
 
 
 def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
-    """Return the displacement from the start of the sweep on, m, independent of the sensor."""
+    """Simulate the sweep; return the displacement relative to the first sample, m, without the sensor's direction."""
     run = rollout(model, drive, dt, begins="rest")
     return float(model.output.polarity) * (run - run[0])
 
 
 def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, dt: float) -> float | None:
-    """Return the change of ln a_k (None: of all coefficients) that changes the free run by the model's own error."""
+    """Return the standard error of the logarithm of a stiffness, resonance or damping: the change that errors hide."""
     if k is not None and k > model.order:
         return None
     factors = np.full(model.order + 1, 1 + _STEP) if k is None else np.where(np.arange(model.order + 1) == k, 1.05, 1.0)
@@ -151,7 +151,7 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
 
 @jit
 def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
-    """Return the scaled states settled at these inputs, and A and B of one decoder step about the middle row."""
+    """Return scaled states for three rows of constant inputs, and A, B of one time step about the middle row."""
     flat = levels.ravel().astype(model.coefficients.dtype)
     states = held_states(model, flat, dt, jnp.zeros_like(flat)).reshape(*levels.shape, -1)
 
@@ -162,7 +162,7 @@ def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
 
 
 def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float, float]:
-    """Return frequency (Hz) and damping ratio of the oscillation with the largest displacement; nan without one."""
+    """Return frequency (Hz) and damping ratio of the oscillation that moves the displacement most; nan without one."""
     if not np.isfinite(by_state).all():
         return np.nan, np.nan
     z, vectors = np.linalg.eig(by_state.astype(np.float64))
@@ -176,7 +176,7 @@ def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float,
 
 
 def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
-    """Return the row of the free runs: their rms difference and both models' own errors, % of the range."""
+    """Compare the two simulated sweeps: rms difference, and both models' own errors, % of the range."""
     span = max(float(np.ptp(one.run)), float(np.ptp(two.run)))
     percent = 100 / span
     apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))

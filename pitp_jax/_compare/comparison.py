@@ -1,4 +1,4 @@
-"""Compare two models, two diagnoses or two sets of records."""
+"""Compare two models, two diagnoses or two sets of recordings."""
 
 from collections.abc import Mapping, Sequence
 from os import PathLike
@@ -14,7 +14,7 @@ from .result import Comparison
 
 
 def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
-    """Compare two models, two diagnoses or two sets of records.
+    """Compare two models, two diagnoses or two sets of recordings.
 
     Args:
         a, b: two models (or results that hold a `.model`), two diagnoses (or their JSON as dicts), or two sequences of

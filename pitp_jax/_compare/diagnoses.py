@@ -1,4 +1,4 @@
-"""Compare two diagnoses: verdicts, effects with their parameters, gaps and budgets.
+"""Compare two diagnoses: verdicts, effects with their parameters, and the error before and after.
 
 Both are read as JSON, so that a diagnosis saved by an older version, or by another rig, can be one of the two.
 """
@@ -9,7 +9,7 @@ _GAP = {"before": "gap before", "after": "gap after", "noise_floor": "noise floo
 
 
 def compare_diagnoses(a: dict, b: dict, names: tuple[str, str]) -> Comparison:
-    """Compare every number of two diagnoses, given as their JSON."""
+    """Compare all results of two diagnoses that are given as their JSON."""
     rows = [stated("verdict", a["verdict"], b["verdict"]), stated("effects", a["effects"], b["effects"])]
     rows.append(stated("handed back", a.get("handed_back") or [], b.get("handed_back") or []))
     first = [d["ranking"][0]["effect"] if d.get("ranking") else None for d in (a, b)]
@@ -36,7 +36,7 @@ def _number(value) -> float | None:
 
 
 def _effects(a: dict, b: dict) -> list[Difference]:
-    """Compare parameters of the effects that either reports, from the rankings, which include unreported candidates."""
+    """Compare the parameters of all effects that either diagnosis reports, as the rankings hold them."""
     rows = []
     # backwards, so that of several forms of one effect the best ranked one remains
     tables = [{r["effect"]: r for r in reversed(d.get("ranking", []))} for d in (a, b)]
@@ -59,7 +59,7 @@ def _effects(a: dict, b: dict) -> list[Difference]:
 
 
 def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
-    """Compare the parameters of all parts of the returned models except the effects that a verdict reports."""
+    """Compare the parameters of the parts of both returned models, without the effects that a verdict reports."""
     sides = [{(p["effect"], p["form"]): p["parameters"] for p in parts if p["effect"] not in told} for parts in (a, b)]
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):
@@ -75,7 +75,7 @@ def _parts(a: list[dict], b: list[dict], told: set[str]) -> list[Difference]:
 
 
 def _portion(what: str, one: dict, two: dict) -> Difference:
-    """Compare a fraction with a 95 % interval, whose half width is taken as 1.96 standard errors."""
+    """Compare a fraction in both diagnoses, with a standard error from its 95 % interval."""
     errors = [(e["ci95"][1] - e["ci95"][0]) / 3.92 if e.get("ci95") else None for e in (one, two)]
     return measured(what, _number(one.get("share")), _number(two.get("share")), "", (errors[0], errors[1]))
 

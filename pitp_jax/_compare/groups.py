@@ -1,4 +1,4 @@
-"""Group a simulator's recordings by plant, for example several loads or gains in one folder.
+"""Group a simulator's recordings by simulated machine, for example several loads or gains in one folder.
 
 Several plants are present if the same command gives different responses. Each such response starts a group; a group's
 linear model is
@@ -28,7 +28,7 @@ _DAMPINGS = (0.1, 0.4, 1.5)
 
 @dataclass(frozen=True)
 class Groups:
-    """Recordings grouped by their plants.
+    """Recordings grouped by the machine that they seem to come from.
 
     Attributes:
         members: names of the recordings of each group, the largest group first.
@@ -52,7 +52,7 @@ class Groups:
 
 @dataclass(frozen=True)
 class _Thin:
-    """A recording at few samples: command and output without their means; `seen` where the output was measured."""
+    """A recording averaged to few samples: command, output without mean, and where the output was measured."""
 
     name: str
     dt: float
@@ -63,7 +63,7 @@ class _Thin:
 
 @dataclass(frozen=True)
 class _Fit:
-    """A linear model of recordings: logarithms of its pole coefficients, gain, and residual sum of squares."""
+    """A linear model of some recordings: logarithms of pole coefficients, gain, and residual sum of squares."""
 
     logs: np.ndarray
     gain: float
@@ -71,7 +71,7 @@ class _Fit:
 
 
 def groups_of(records: Sequence[Record]) -> Groups | None:
-    """Group recordings by their plants; return None if one linear model fits as well, or if nothing shows several.
+    """Group recordings by the machine behind them; return None if one linear model is sufficient for all.
 
     Args:
         records: of one rate.
@@ -119,25 +119,25 @@ def _thinned(record: Record) -> _Thin:
 
 
 def _same(a: _Thin, b: _Thin) -> bool:
-    """Return whether two recordings have the same command from their first sample on."""
+    """Return whether two recordings have the same command, sample by sample."""
     if len(a.drive) != len(b.drive):
         return False
     return float(np.std(a.drive - b.drive)) <= _SAME * float(np.std(a.drive)) > 0
 
 
 def _run(logs: np.ndarray, record: _Thin) -> np.ndarray:
-    """Return the response with unit gain from the first sample's equilibrium, without its mean."""
+    """Simulate a unit-gain model under a recording's command, from equilibrium at the first sample, without mean."""
     run = respond(logs, record.drive, step=record.dt, square=False, hold="foh", settled=True)
     return run - run[record.seen].mean()
 
 
 def _left(fit: _Fit, record: _Thin) -> float:
-    """Return the residual sum of squares of a model on a recording."""
+    """Return the residual sum of squares of a linear model on a recording."""
     return float(np.sum(((record.output - fit.gain * _run(fit.logs, record))[record.seen]) ** 2))
 
 
 def _fitted(records: Sequence[_Thin], *starts: _Fit | None) -> _Fit:
-    """Fit one linear model to recordings, from models of some of them or from a grid of modes."""
+    """Fit one linear model to recordings, starting from models of some of them or from a grid of modes."""
     output = np.concatenate([record.output[record.seen] for record in records])
 
     def rest(logs: np.ndarray) -> tuple[np.ndarray, float]:

@@ -1,4 +1,4 @@
-"""Compare two models: their responses, facts, coefficients by meaning, effects and origins.
+"""Compare two models: responses, facts, coefficients by meaning, effects and origins.
 
     a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of a linear model)
 
@@ -26,7 +26,7 @@ _MEANINGS = ("stiffness", "damping", "inertia")
 
 
 def coefficient_meaning(i: int) -> str:
-    """Return a coefficient's name by its meaning: `stiffness (a0)`, ...; `a3` from the third on."""
+    """Return the name of coefficient a_i by its meaning: `stiffness (a0)`, `damping (a1)`, `inertia (a2)`, `a3`, ..."""
     return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
@@ -45,7 +45,7 @@ def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
 
 
 def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
-    """Return the factors of either model's last `adapt` that the other model lacks."""
+    """Return rows of the factors by which `adapt` changed one of the models but not the other."""
     rows = []
     for k, (mine, other) in enumerate(((a, b), (b, a))):
         for entry in mine.origin.adapted:
@@ -73,7 +73,7 @@ def _coefficients(one: dict, two: dict) -> list[Difference]:
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
-    """Compare the static stiffness and the least damped mode, for models of different orders."""
+    """Compare static stiffness and least damped mode of two linear models of different order."""
     stiffness = measured(
         coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
         (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
@@ -93,7 +93,7 @@ def _modes(one: dict, two: dict) -> list[Difference]:
 
 
 def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
-    """Compare parameters of the effects in either model; a model file holds no standard errors of them."""
+    """Compare the parameters of the effects in both models; model files hold no standard errors of them."""
     sides = [{(e["effect"], e["form"]): e["parameters"] for e in effects} for effects in (one, two)]
     rows = []
     for key in dict.fromkeys([*sides[0], *sides[1]]):
@@ -106,7 +106,7 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
 
 
 def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
-    """Return lines on the lineage, recordings used by one or both, and adaptations."""
+    """Write lines on what the models were made from: parents, recordings of one or both, adaptations."""
     # by their checksums, because two rigs may use the same names
     sums: list[dict[str, str]] = [
         {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)

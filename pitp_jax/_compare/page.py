@@ -1,4 +1,4 @@
-"""The page of a comparison: differences, every quantity, and recordings of one command overlaid."""
+"""Write the page of a comparison: what differs, every quantity, and recordings of equal commands overlaid."""
 
 from collections import Counter
 
@@ -17,14 +17,14 @@ _DRAWN = 12  # pairs of recordings, the most different first
 
 
 def page(result: Comparison) -> str:
-    """Return the comparison as a self-contained HTML page."""
+    """Write the comparison as a self-contained HTML page."""
     others = tuple(r for r in result.rows if not r.differs)
     alike = [tag("h2", "No difference, or not judged"), _table(result, others)] if others else []
     return html.page(result.headline(), [*_first(result), *alike, *_drawn(result)])
 
 
 def first_screen(result: Comparison) -> str:
-    """Return headline, remarks and differences, without the page around."""
+    """Write headline, remarks and differences as HTML, without the page around them."""
     return "".join(_first(result))
 
 
@@ -52,7 +52,7 @@ def _shown(value: float | str | None) -> str:
 
 
 def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]]]:
-    """Draw every pair; return figures and their numbers as columns, by name."""
+    """Draw every pair of recordings; return each figure with its numbers as columns, by name."""
     pairs = () if result.pairs is None else result.pairs.pairs
     count = Counter(p.first.name for p in pairs)
     made = {}
@@ -64,7 +64,7 @@ def figures(result: Comparison) -> dict[str, tuple[Figure, dict[str, np.ndarray]
 
 
 def overlay(pair: Pair, names: tuple[str, str]) -> tuple[Figure, dict[str, np.ndarray]]:
-    """Draw both outputs over the time since the first recording's start, and the difference; return the numbers too."""
+    """Draw the outputs of a pair over time, and their difference; return the figure and its numbers as columns."""
     unit = pair.first.displacement_unit
     time = pair.first.time - pair.first.time[0]  # clocks of two rigs have different origins
     one, two = (from_base(y, unit) for y in (pair.first.displacement, pair.output()))

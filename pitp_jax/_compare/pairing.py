@@ -1,4 +1,4 @@
-"""Pair the recordings of two sets by their commands, and by their responses if several have the same command.
+"""Pair the recordings of two sets by their commands, and by their responses where commands repeat.
 
     distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
@@ -28,7 +28,7 @@ _MIRRORED = -0.5  # median correlation of the outputs below which the output of 
 
 @dataclass(frozen=True)
 class Pair:
-    """Two recordings of one command.
+    """Two recordings of the same command, one from each set of recordings.
 
     Attributes:
         first, second: the recordings; both carry the command at times t and t - offset of their own clocks.
@@ -44,18 +44,18 @@ class Pair:
     output_sign: int = 1
 
     def command(self) -> np.ndarray:
-        """Interpolate the second recording's command at the times of the first, held at its ends and mirrored, (T,)."""
+        """Return the second recording's command at the times of the first, held at its ends, equal in sign, (T,)."""
         sign = -1 if self.correlation < 0 else 1
         return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
     def output(self) -> np.ndarray:
-        """Interpolate the second recording's output at the times of the first, mirrored, nan where missing, (T,)."""
+        """Return the second recording's output at the times of the first, equal in sign, nan where missing, (T,)."""
         return self.output_sign * _at(self.first, self.second, self.offset)
 
 
 @dataclass(frozen=True)
 class Pairing:
-    """The recordings that share their command.
+    """The pairs of recordings found in two sets, and the recordings without a counterpart.
 
     Attributes:
         pairs: in the order of the first set; a recording may be in several.
@@ -73,14 +73,14 @@ class Pairing:
     mirrored: tuple[bool, bool] = (False, False)
 
     def remarks(self, first: str, second: str) -> list[str]:
-        """Return remarks on clocks, partners and signs in sentences; `first` and `second` name the sets."""
+        """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
         return remarks_on(self, first, second)
 
 
 def pair_records(
     first: Sequence[Record], second: Sequence[Record], *, shared: Literal["first", "second"] = "first"
 ) -> Pairing:
-    """Find for each recording of one set the recording of the other with the same command.
+    """Find for each recording of one set the recording of the other set with the same command.
 
     Args:
         first, second: recordings of two machines, or of a machine and its simulator; rates may differ.
@@ -114,7 +114,7 @@ def pair_records(
 
 
 def _partnered(matches: list[list[Alignment]]) -> int:
-    """Return the number of recordings of both sets with at least one partner."""
+    """Count the recordings of both sets whose command occurs in the other set of recordings."""
     fits = np.array([[m.accepted for m in row] for row in matches])
     return int(fits.any(axis=0).sum() + fits.any(axis=1).sum())
 
@@ -160,7 +160,7 @@ class _Table:
         )
 
     def turned(self) -> "_Table":
-        """Return the table with the two sets exchanged."""
+        """Return the same table with the two sets of recordings exchanged."""
         matches = [
             [Alignment(m.correlation, -m.offset, 1 / m.size if m.size else np.inf, m.misfit) for m in column]
             for column in zip(*self.matches, strict=True)
@@ -171,7 +171,7 @@ class _Table:
         )  # fmt: skip
 
     def cost(self) -> np.ndarray:
-        """Return the cost of every pair: commands before responses before names."""
+        """Return the cost of each possible pair: the command counts most, then the response, then the name."""
         misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in self.matches])
         fits = np.isfinite(misfit)
         excess = np.where(fits, misfit, 0.0) - np.minimum(_allowed(misfit, 1), _allowed(misfit, 0))
@@ -182,13 +182,13 @@ class _Table:
         return np.where(fits, cost, _REFUSED)
 
     def apart(self, i: int, k: int, partner: int) -> float:
-        """Return the squared distance of two responses of the first set, both aligned with one partner."""
+        """Return the squared distance of two responses of one set, aligned through a recording of the other set."""
         offset = self.matches[i][partner].offset - self.matches[k][partner].offset
         a, b, c = _moments(self.mine[i], self.mine[k], offset)
         return max(a + b - 2 * c - 2 * (self.noise[0][i] + self.noise[0][k]), 0.0)
 
     def alone(self, paired: set[int]) -> tuple[tuple[str, str], ...]:
-        """Return the names of recordings without a partner, each with the reason."""
+        """Return the names of recordings without a counterpart, each with the reason."""
         return tuple((r.name, self._why(k)) for k, r in enumerate(self.mine) if k not in paired)
 
     def _why(self, i: int) -> str:
@@ -201,7 +201,7 @@ class _Table:
         return f"no command correlates by {ALIKE:g} or more with its own (closest: {name}, {m.correlation:.2f})"
 
     def repeated(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, ...], ...]:
-        """Return the groups of the second set among which the responses decided."""
+        """Return the groups of recordings with equal commands that only their responses distinguish."""
         groups = set()
         for i, row in enumerate(self.near):
             group = tuple(np.flatnonzero(row).tolist())
@@ -210,7 +210,7 @@ class _Table:
         return tuple(tuple(self.others[j].name for j in group) for group in sorted(groups) if len(group) > 1)
 
     def undecided(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
-        """Return pairs for which another recording of the second set has the same command and response."""
+        """Return the pairs that are uncertain, because another recording has the same command and response."""
         found = []
         for i, j in sorted(chosen):
             slack = self.noise[0][i] + self.noise[1]
@@ -227,7 +227,7 @@ def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
 
 
 def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:
-    """Give remaining recordings of the first set the partner of a paired recording that they repeat."""
+    """Pair the remaining recordings of the first set with the counterpart of the recording that they repeat."""
     found = set()
     for i in sorted(set(range(len(table.mine))) - {i for i, _ in chosen}):
         fitting = np.flatnonzero(table.near[i]).tolist()
@@ -251,7 +251,7 @@ def _at(a: Record, b: Record, offset: float) -> np.ndarray:
 
 
 def _moments(a: Record, b: Record, offset: float) -> tuple[float, float, float]:
-    """Return the variances of both outputs and their covariance, where both are known."""
+    """Return the variances of two outputs and their covariance, where both are measured."""
     y, z = a.displacement, _at(a, b, offset)
     known = np.isfinite(y) & np.isfinite(z)
     if not known.any():

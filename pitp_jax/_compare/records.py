@@ -1,4 +1,4 @@
-"""Compare two sets of records: outputs of common commands, otherwise linear models of the two sets.
+"""Compare two sets of recordings: outputs under equal commands, otherwise linear models fitted to each set.
 
     y_b(t) = s y_a(t - d) + c + e        least squares over 8 blocks of a recording; s, d: mean and standard error
 
@@ -25,7 +25,7 @@ _NOISES = 3.0  # allowed difference of two recordings of one machine, in standar
 
 
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
-    """Pair the recordings and compare their outputs; identify both sets if nothing pairs."""
+    """Pair recordings and compare their outputs; if none pairs, compare linear models fitted to both sets."""
     pairs = pair_records(a, b)
     remarks = pairs.remarks(*names)
     if pairs.pairs:
@@ -43,7 +43,7 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
 
 
 def linear_model_of(records: Sequence[Record]) -> Identification:
-    """Identify a linear model of these records with a delay, with the input map of the smaller residual.
+    """Identify a linear model with delay, with the input map (linear or square) that leaves the smaller residual.
 
     Raises:
         BadInput, ComputationFailed: as `identify`.
@@ -60,12 +60,12 @@ def linear_model_of(records: Sequence[Record]) -> Identification:
 
 
 def _may_be_squared(record: Record) -> bool:
-    """Return whether a record's input may act by its square: a voltage that moves something may, a command does not."""
+    """Return whether the square of the input may drive the motion: true for a voltage that moves something."""
     return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
 def _outputs(pair: Pair, first: str) -> list[Difference]:
-    """Compare size, lag and residual of B's output relative to A's, at A's times."""
+    """Compare the second output of a pair with the first: size, time lag and rms difference."""
     a, unit = pair.first, pair.first.displacement_unit
     if base_unit(unit) != base_unit(pair.second.displacement_unit):
         raise BadInput(
@@ -101,7 +101,7 @@ def _blocks(seen: np.ndarray) -> list[np.ndarray]:
 
 
 def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tuple[float, float] | None:
-    """Fit size s and lag d (s) of `other` = s y(t - d) + c; return None if hardly anything moves.
+    """Fit size s and time lag d (s) of `other` = s y(t - d) + c; return None if hardly anything moves.
 
     Gauss-Newton: about the lag so far, s y(t - d) is s y - s (d - lag) y', linear in s and s (d - lag).
     """

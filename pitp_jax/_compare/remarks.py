@@ -1,4 +1,4 @@
-"""Remarks on how two sets of recordings were paired, in sentences."""
+"""Write remarks on how the recordings of two sets were paired."""
 
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -15,7 +15,7 @@ _LISTED = 12  # names in one sentence; the JSON holds all
 
 
 def remarks_on(pairing: "Pairing", first: str, second: str) -> list[str]:
-    """Return remarks on clocks, partners and signs; `first` and `second` name the sets."""
+    """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
     named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
     lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
     lines += _of_ties(pairing, first, second)

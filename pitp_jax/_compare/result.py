@@ -1,4 +1,4 @@
-"""The result of a comparison: quantities of two objects, and which differ by more than their intervals.
+"""Hold the result of a comparison: every quantity of A and B, and whether it differs beyond its interval.
 
 difference = b - a,    95 % interval:  difference +- 1.96 sqrt(s_a^2 + s_b^2)
 a quantity differs if that interval excludes 0; None if a standard error is unknown
@@ -20,7 +20,7 @@ _LINES = 9  # of differences in a repr, below its headline
 
 @dataclass(frozen=True)
 class Difference:
-    """One quantity of both objects, with its difference.
+    """One quantity in A and in B, with the interval of its difference.
 
     Attributes:
         what: the quantity in plain words.
@@ -38,7 +38,7 @@ class Difference:
     differs: bool | None = None
 
     def words(self) -> str:
-        """Return the difference in one line."""
+        """Write the difference in one line."""
         ratio = ""
         # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
@@ -48,7 +48,7 @@ class Difference:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The differences between A and B.
+    """All compared quantities of A and B, and which of them differ.
 
     Attributes:
         kind: "models", "diagnoses" or "records".
@@ -66,11 +66,11 @@ class Comparison:
 
     @property
     def different(self) -> tuple[Difference, ...]:
-        """Return the rows that differ."""
+        """Return the quantities that differ."""
         return tuple(r for r in self.rows if r.differs)
 
     def headline(self) -> str:
-        """Return a sentence on how many quantities differ."""
+        """Write in a sentence how many quantities differ."""
         count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
         a, b = self.names
         unknown = f" ({open_} more were not judged, because their standard errors are not known)" if open_ else ""
@@ -79,24 +79,24 @@ class Comparison:
         return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
 
     def __repr__(self) -> str:
-        """Return the headline, and the first rows that differ."""
+        """Write the headline and the first quantities that differ."""
         lines = [r.words() for r in self.different]
         more = [f"  and {len(lines) - _LINES + 1} more"] if len(lines) > _LINES else []
         shown = lines[: _LINES - 1] if more else lines
         return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
 
     def _repr_html_(self) -> str:
-        """Return the first screen of its page."""
+        """Write the first part of the HTML page: headline, remarks and differences."""
         from .page import first_screen
 
         return first_screen(self)
 
     def frame(self) -> "pd.DataFrame":
-        """Return one row per quantity: what, a, b, unit, difference's interval, whether it differs."""
+        """Return a table with a row per quantity: what, a, b, unit, interval of the difference, whether it differs."""
         return data_frame(self.as_json()["rows"])
 
     def as_json(self) -> dict[str, Any]:
-        """Return the dict of `pitp compare --json`."""
+        """Return the JSON of `pitp compare --json` as a dict."""
         rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
         pairs = [] if self.pairs is None else [
             {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation}
@@ -107,7 +107,7 @@ class Comparison:
 
 
 def measured(what: str, a: float | None, b: float | None, unit: str, errors: tuple[float | None, float | None]):
-    """Return a row of two numbers with standard errors, None if one is unknown."""
+    """Compare two numbers with their standard errors (None: unknown)."""
     if a is None or b is None:
         return Difference(what, a, b, unit, None, True)  # a quantity of one side only: a difference without a size
     if a == b:
@@ -119,7 +119,7 @@ def measured(what: str, a: float | None, b: float | None, unit: str, errors: tup
 
 
 def stated(what: str, a, b) -> Difference:
-    """Return a row of two facts, which differ if their texts do: numbers with the four digits shown."""
+    """Compare two facts by their text, numbers with four digits."""
     # as shown, because two equal texts called different would puzzle the reader
     return Difference(what, _cell(a), _cell(b), differs=_cell(a) != _cell(b))
 

@@ -1,1 +1,1 @@
-"""`pitp demo`: the paper's experiments on a virtual actuator, from recordings to tracked motion, and its files."""
+"""Run `pitp demo`: the paper's experiments on a virtual actuator, from recordings to tracked motion."""

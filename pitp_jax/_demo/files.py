@@ -1,4 +1,4 @@
-"""Write the folder of `pitp demo`: the recordings, the model files, the tables as CSV, and the paper's figures.
+"""Write the folder of `pitp demo`: recordings, model files, tables as CSV, and the paper's figures.
 
 records/   the sweep and the training sines: for `pitp identify`, `fit` and `diagnose`
 held_out/  held-out recordings, for `pitp predict`
@@ -33,7 +33,7 @@ FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv
 
 
 def write(demo: Demo, folder: Path) -> None:
-    """Write everything into an existing folder.
+    """Write recordings, models, tables and figures of a demo into an existing folder.
 
     Args:
         demo: result of `protocol.run`.
@@ -67,7 +67,7 @@ def write(demo: Demo, folder: Path) -> None:
 
 
 def recordings(name: str, quick: bool) -> set[str]:
-    """Return the names of the recordings that this demo writes, with their folders."""
+    """Return the file names of the recordings that the demo of this actuator writes, with their folders."""
     parts = {RECORDS: ("sweep", "train"), HELD_OUT: ("test",)}
     return {f"{home}/{e.name}.csv" for home, kinds in parts.items() for k in kinds for e in excitations(name, k, quick)}
 
@@ -90,13 +90,13 @@ def _sweep(demo: Demo):
 
 
 def _prediction(demo: Demo):
-    """Draw the last held-out sine."""
+    """Draw measured and predicted output of the last held-out sine."""
     r = [record for record in demo.test if record.name.startswith("sine")][-1]
     return paper_figures.prediction(r.time, r.displacement, demo.predicted[r.name].displacement)[0].figure
 
 
 def _loops(demo: Demo):
-    """Draw one settled period at each frequency of Table II."""
+    """Draw output over voltage for one steady-state period at each frequency of Table II."""
     axes = None
     for t in demo.tracks:
         r = nearest(demo.train, demo.name, t.frequency)
@@ -110,7 +110,7 @@ def _loops(demo: Demo):
 
 
 def _tokens(demo: Demo):
-    """Draw the tokens along the free run of one training sine, over their nominal values, and the offset token."""
+    """Draw the model's coefficients along a simulated training sine, relative to nominal, and the offset."""
     t = demo.tracks[1]
     r = nearest(demo.train, demo.name, t.frequency)
     model = demo.training.model.model
@@ -120,7 +120,7 @@ def _tokens(demo: Demo):
 
 
 def token_history(model: Model, record: Record) -> np.ndarray:
-    """Return tokens over their nominal values, then the offset, along a free run from rest; shape (T, n + 2)."""
+    """Return a model's coefficients relative to nominal, then the offset, along a simulation from rest, (T, n + 2)."""
     voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
     states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
     tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)

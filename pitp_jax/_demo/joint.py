@@ -24,7 +24,7 @@ _ENCODER = 2 * np.pi / 2**14  # rad
 
 @dataclass(frozen=True)
 class Joint:
-    """Parameters of a position-controlled joint, SI units.
+    """The parameters of a position-controlled robot joint, in SI units.
 
     Attributes:
         inertia, damping, position_gain: J in kg m^2, D in N m s/rad, Kp in N m/rad.
@@ -46,7 +46,7 @@ REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)
 
 
 def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
-    """Return position commands by name, rad: functions of time (T,), 0 up to t = 0, constant after `seconds`."""
+    """Return position commands by name, as functions of time (T,) in rad: 0 up to t = 0, constant after `seconds`."""
 
     def windowed(shape: Callable[[np.ndarray], np.ndarray]) -> Callable[[np.ndarray], np.ndarray]:
         return lambda t: shape(np.clip(t, 0.0, seconds))
@@ -67,7 +67,7 @@ def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:
 
 
 def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np.ndarray) -> np.ndarray:
-    """Simulate the measured angle at each sample, rad, from standstill; a command is held for one sample.
+    """Simulate the measured angle (rad) at each sample, from standstill; a command is held for one sample.
 
     Args:
         joint: its numbers.
@@ -94,7 +94,7 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
 
 
 def _play(values: np.ndarray, half: float) -> np.ndarray:
-    """Return the output of a backlash play of this half width, started in its middle, shape (T,)."""
+    """Apply a backlash of this half width to a signal, starting in the middle of the gap, shape (T,)."""
     follower, out = 0.0, np.empty(len(values))
     for k, value in enumerate(values):
         follower = min(max(follower, value - half), value + half)
@@ -103,7 +103,7 @@ def _play(values: np.ndarray, half: float) -> np.ndarray:
 
 
 def write(folder: Path, *, quick: bool) -> None:
-    """Write `sim/` and `robot/` into an existing folder, one CSV per command, and the simulator as a MuJoCo file.
+    """Write recordings of simulator and robot as CSV, one per command, and the simulator as a MuJoCo file.
 
     Args:
         folder: where.

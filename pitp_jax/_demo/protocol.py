@@ -1,4 +1,4 @@
-"""The paper's experiments on a virtual actuator, for the tables and figures of `pitp demo`.
+"""Run the paper's experiments on a virtual actuator, for the tables and figures of `pitp demo`.
 
     sweep ──▶ identify ──▶ nominal ─┐
     sines ──────────────────────────┴▶ train ──▶ model ─┬▶ predict in-sample and held-out records  (Table I)
@@ -44,7 +44,7 @@ TRACKING_PAPER = {  # Table II
 
 @dataclass(frozen=True)
 class Scale:
-    """Settings that depend on the kind of actuator, and on `--quick`.
+    """Settings of a demo that depend on the kind of actuator and on `--quick`.
 
     Attributes:
         amplitude: A3 of the sines in Table I, V (1-5 kV for the cone, 200-1200 V for the roll).
@@ -70,7 +70,7 @@ SCALES = {
 
 @dataclass(frozen=True)
 class Table:
-    """Rows of figures under a title; None for a missing figure."""
+    """A table of numbers with a title and a header; a missing number is None."""
 
     title: str
     header: tuple[str, ...]
@@ -79,7 +79,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Track:
-    """One tracked target: target, motion and voltage at its samples, and the warnings of the inverse."""
+    """A wanted motion, the motion achieved, the voltage played, and the warnings of the inversion."""
 
     frequency: float
     time: np.ndarray
@@ -91,13 +91,13 @@ class Track:
 
     @property
     def e_rms(self) -> float:
-        """Return the tracking error, % of the target's range."""
+        """Return the rms tracking error, % of the target's range."""
         return e_rms_percent(self.achieved, self.target)
 
 
 @dataclass(frozen=True)
 class Demo:
-    """Everything the demo measured and computed; `predicted` and `linear`: free runs of model and nominal, by name."""
+    """All results of a demo; `predicted`, `linear`: simulations by the trained and the linear model, by record name."""
 
     name: str
     sweep: Record
@@ -117,7 +117,7 @@ def run(
     say: Callable[[str], None] = lambda line: None,
     progress: Callable[[Progress], None] = lambda step: None,
 ) -> Demo:
-    """Run the whole demo on one virtual actuator.
+    """Run the whole demo for one virtual actuator: record, identify, train, predict, track.
 
     Args:
         name: `cone100`, `cone122`, `cone150` or `roll`.
@@ -152,12 +152,12 @@ QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}
 
 
 def kind(name: str) -> str:
-    """Return the kind of an actuator, `cone` or `roll`."""
+    """Return the kind of a virtual actuator: `cone` or `roll`."""
     return "roll" if name == "roll" else "cone"
 
 
 def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
-    """Return the excitations of one part of the protocol, fewer and shorter for `quick`."""
+    """Return the input voltages of one part of the paper's protocol; fewer and shorter ones for `quick`."""
     scale = SCALES[kind(name)]
     whole = protocol(kind(name), part)
     if not quick:
@@ -172,7 +172,7 @@ def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
 
 
 def measure(actuator: Plant, drives: Sequence[Excitation]) -> tuple[Record, ...]:
-    """Simulate noisy records of the virtual actuator, one per excitation."""
+    """Simulate noisy recordings of a virtual actuator, one per input voltage."""
     return tuple(record(actuator, e.name, e.time, e.voltage, seed=SEED) for e in drives)
 
 
@@ -181,13 +181,13 @@ def _pairs(model, records):
 
 
 def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:
-    """Return the training sine with the amplitude of Table I and this frequency (Hz)."""
+    """Return the training sine of this frequency (Hz) with the amplitude of the paper's Table I."""
     wanted = f"sine_{frequency:03.0f}Hz_{SCALES[kind(name)].amplitude:.0f}V"
     return next(r for r in records if r.name == wanted)
 
 
 def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> Track:
-    """Invert a sine of half the range the plant reaches at this frequency, and play it on the plant."""
+    """Track a sine of half the reachable range: invert it with the model, and simulate the plant under that voltage."""
     scale = SCALES[kind(actuator.name)]
     amplitude, mean = swing(nearest(train, actuator.name, frequency))
     time, wanted = sine(frequency, scale.track_s, actuator.rate_hz, amplitude, mean, rise=scale.rise_s)
@@ -195,14 +195,14 @@ def track(actuator: Plant, model, frequency: float, train: Sequence[Record]) -> 
 
 
 def swing(training: Record) -> tuple[float, float]:
-    """Return amplitude and mean (m) of a target: half the range of a training sine's second half, about its mean."""
+    """Return amplitude and mean (m) of a sine to track: half the range that a training sine reaches."""
     # half of the range reached, because a target at the edge would need voltages outside the training
     settled = training.displacement[training.samples // 2 :]
     return 0.25 * float(np.ptp(settled)), float(settled.mean())  # amplitude: a quarter of peak to peak
 
 
 def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> Track:
-    """Compute the feedforward for a target, and play it on the noise-free plant."""
+    """Compute the voltage for a target with the model, and simulate the noise-free plant under it."""
     plan = feedforward(model, target)
     clock = np.arange(len(plan.time)) / actuator.rate_hz  # the feedforward may start before the target's time 0
     # the plant has no band-limited amplifier; such dense samples are joined by lines
@@ -215,20 +215,20 @@ def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> T
 
 
 def error(demo: Demo, name: str, *, linear: bool = False) -> float:
-    """Return e_rms (%) of the model's (or the nominal's) free run on one record; inf if it diverged."""
+    """Return the rms error (%) of the trained (or the linear) model on one record; infinite if it diverged."""
     measured = next(r for r in (*demo.train, *demo.test, demo.sweep) if r.name == name)
     p = (demo.linear if linear else demo.predicted)[name]
     return e_rms_percent(p.displacement, measured.displacement, p.scored)
 
 
 def noise_floor(demo: Demo, name: str) -> float:
-    """Return e_rms (%) of the sensor noise alone on one record."""
+    """Return the rms of the sensor noise alone on one record, % of range."""
     measured = next(r for r in (*demo.train, *demo.test) if r.name == name)
     return 100.0 * virtual_actuator(demo.name).noise_std / float(np.ptp(measured.displacement))
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
-    """Return Tables I (in-sample) and II with the paper's values, and a table of the held-out records."""
+    """Return Tables I (in-sample) and II (tracking) beside the paper's values, and a table of held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
     in_sample, held_out, tracking = [], [], []
     for f, paper in PREDICTION_PAPER[demo.name].items():

@@ -1,4 +1,4 @@
-"""Identification: fits a linear model of the smallest sufficient order to recordings.
+"""Identify linear models: fit an ODE of the smallest sufficient order to recordings.
 
     sum_i a_i x^(i) = u^2 (or u),    min over a, offsets and initial states of sum (y - x)^2   (output error; tfest)
 

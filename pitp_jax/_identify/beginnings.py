@@ -1,4 +1,4 @@
-"""Initial state, sensor offset and sensor direction of every record, by maximum likelihood over the whole record.
+"""Estimate initial state, sensor offset and sensor direction of every record by maximum likelihood.
 
     y = d (g x(t) + free(t)) + z,    free: 0 at rest | F(0) unit step's release when held | any x(0), x'(0) in motion
 
@@ -50,7 +50,7 @@ _FINEST = 1e-5  # fraction of the output's deviation: no record resolves less, e
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
 def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
-    """Return each record's initial state, the poles of order 2 (rad/s) and the residual as a fraction of the output.
+    """Return initial states, the poles of order 2 (rad/s) and the residual as a fraction of the output's deviation.
 
     The roots are None and the fraction 1 if no such model could be fitted.
     """
@@ -79,7 +79,7 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
 
 
 def _only_noise(cost: float, records: Sequence[Record]) -> bool:
-    """Return whether the residual of order 2 is only sensor noise, so that no model error biases the offset."""
+    """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
     return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
 
@@ -90,7 +90,7 @@ def _at_rest(record: Record) -> Beginning:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Block means of one record, whitened: output, response from rest, effect of holding, free responses, constant."""
+    """Whitened block means of one record: output, simulated response, effect of a settled start, fitted columns."""
 
     output: np.ndarray
     driven: np.ndarray
@@ -100,31 +100,31 @@ class _Columns:
     size: float  # standard deviation of the output
 
     def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
-        """Return the residual of this hypothesis and its sensor offset."""
+        """Return the whitened residual for an initial state and a sensor direction, and the fitted sensor offset."""
         base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
         columns = [self.one, self.free] if begins == "moving" else [self.one]
         factors, rest = project(base, np.column_stack(columns))
         return rest, float(factors[0])
 
     def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
-        """Return the fitted sensor offset, its weight 1 / variance, and the number of samples."""
+        """Return the fitted sensor offset (output unit), its weight (1 / variance), and the number of block means."""
         residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
     def moves(self) -> bool:
-        """Return whether a free initial state explains at least half of the residual that a start at rest leaves."""
+        """Return whether a free initial state removes at least half of the residual that a start from rest leaves."""
         rest, moving = (min(np.linalg.norm(self.residual(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
         return bool(moving < 0.5 * rest)
 
     def score(self, begins: Begins, direction: float) -> float:
-        """Return the information criterion (BIC) of this initial state; lower is better."""
+        """Return the Bayesian information criterion (BIC) of an initial state and sensor direction; lower is better."""
         extra = self.free.shape[1] if begins == "moving" else 0
         return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
-    """Return the indices of some records, and these records averaged over blocks of a tenth of the band's period."""
+    """Select records of every kind; return indices, and these records averaged over a tenth of the fastest period."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, shortest = records[0].dt, min(r.samples for r in records)
     size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
@@ -133,7 +133,7 @@ def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], li
 
 
 def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """Return the cost and model of order 2 that `_fitted` finds when no initial state is known."""
+    """Fit a model of order 2 with free initial states; return mean square residual and model, None if all fail."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
     by_response = _from_response(problem)
@@ -153,7 +153,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
 
 
 def _from_response(problem: Problem) -> np.ndarray | None:
-    """Return the start from the record with the most coherent frequency response, or None if none has enough lines.
+    """Return initial poles from the record with the most coherent frequency response; None if none has enough lines.
 
     Only one record is used because the sensor directions of the others are not known yet.
     """
@@ -163,14 +163,14 @@ def _from_response(problem: Problem) -> np.ndarray | None:
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """Fit the output error from `start`; return the cost, the logarithms (rad/s) and the gain (m per V^2 or V)."""
+    """Fit a second-order model; return mean square residual, log pole coefficients (rad/s), gain (m per V^2 or V)."""
     logs, cost, _ = least_squares(start, _STRUCTURE, problem)
     gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
     return (cost, (logs, gain)) if np.isfinite(cost) else None
 
 
 def _directed(logs: np.ndarray, problem: Problem) -> Problem:
-    """Return the problem with each sensor direction set by the sign of the record's gain, relative to the majority."""
+    """Reverse the sensor of those normalised records whose gain has another sign than most."""
     gains: list[float] = []
     if len(problem.drive) == 1:
         return problem
@@ -189,7 +189,7 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
 
 
 def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
-    """Return block means whitened with the residual spectrum of the richest hypothesis."""
+    """Return block means of one record, whitened with the residual spectrum of the free initial state."""
     square, dt = input_map == "square", record.dt
     unit, settled = (
         respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
@@ -209,7 +209,9 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
 
 
 def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple[Begins, float]:
-    """Return the simplest initial state and the direction; "moving" if the first samples are missing.
+    """Return the simplest sufficient initial state of a record, and the sensor direction (+1 or -1).
+
+    A record whose first samples are missing is "moving".
 
     A constant reading under a constant voltage means at rest or held, whatever residual the later motion leaves.
     """
@@ -228,7 +230,7 @@ def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple
 
 
 def _smooth(drive: np.ndarray) -> bool:
-    """Return whether the voltage has no jump in the first samples, which determine the initial velocity."""
+    """Return whether the voltage has no jump in the first samples, from which the initial velocity is estimated."""
     return bool(np.abs(np.diff(drive[:INITIAL_SAMPLES])).max() < _JUMP * np.ptp(drive))
 
 
@@ -239,7 +241,7 @@ def _settled_together(
     known: Sequence[bool],
     logs: np.ndarray,
 ) -> list[tuple[Begins, float]]:
-    """Return the initial states, without a moving one that only model error suggests.
+    """Return initial states in which records that stand still together are at rest or settled instead of moving.
 
     Records that stand still at one level, one of them at rest or with different first voltages, cannot all have
     reversed there by chance. Each of them is therefore at rest or held, whatever residual the later motion leaves.
@@ -261,14 +263,14 @@ def _settled_together(
 
 
 def _omega(logs: np.ndarray) -> float:
-    """Return the natural frequency of order 2, rad/s."""
+    """Return the natural frequency (rad/s) of a model of order 2."""
     return float(np.exp(logs[1] / 2))
 
 
 def _with_zeros(
     records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
 ) -> list[Beginning]:
-    """Return initial states with offsets: from first samples for records at rest (pooled), fitted for the others."""
+    """Return initial states with sensor offsets: measured in the first samples at rest (pooled), otherwise fitted."""
     decided: dict[int, Beginning] = {}
     resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
     groups = level_groups([records[k] for k in resting])
@@ -305,7 +307,7 @@ def _stderr(weight: float) -> float:
 
 
 def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
-    """Return whether whole records give the offset more precisely than the first samples, without bias by model error.
+    """Return whether whole records determine a sensor offset more precisely than their first samples, without bias.
 
     The fitted offset has the smaller standard error, and both agree within five combined standard errors.
     """
@@ -315,5 +317,5 @@ def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: f
 
 
 def _agree(difference: float, weight: float, size: int) -> bool:
-    """Return whether a separate sensor offset is not worth a parameter: T log(1 + w dz^2 / T) <= log T."""
+    """Return whether two sensor offsets are equal within their errors: T log(1 + w dz^2 / T) <= log T (BIC)."""
     return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))

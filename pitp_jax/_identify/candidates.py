@@ -1,4 +1,4 @@
-"""Fit every candidate (order, delay, hold) and choose the fewest parameters whose held-out score is near the best.
+"""Fit every candidate (order, delay, hold) and choose the fewest parameters whose held-out error is near the smallest.
 
     score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, or 0.1 % of the output
     fewest poles and delays;  if equal, the lower order within 1 %, otherwise the better score;  then the better hold,
@@ -46,7 +46,7 @@ def search(
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """Return all candidates that could be fitted, in ascending order; `pair`: known poles of order 2 (rad/s)."""
+    """Fit and return all candidates in ascending order; `pair` holds known poles of order 2 (rad/s), or None."""
     by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
     roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
     candidates: list[Candidate] = []
@@ -94,7 +94,7 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
 
 
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
-    """Return whether to try this order: the best known order is the last one, or the last but one at order 4.
+    """Return whether an order is worth fitting: the best model so far is of the last order (or one less, at order 4).
 
     It also does if no order explains half of the output yet, or the last one halved the in-sample cost: three poles for
     two modes explain no held-out block.
@@ -109,7 +109,7 @@ def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
 
 
 def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:
-    """Return a start from a fit under another hold, its delay moved by half a sample of the input."""
+    """Return initial parameters from a fit with another hold of the input; a delay shifts by half a sample."""
     structure, (params, _, _) = other
     if structure.delayed and hold != structure.hold:
         moved = (0.5 if structure.hold == "zoh" else -0.5) * problem.fine
@@ -118,7 +118,7 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
 
 
 def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
-    """Return the best fit from the frequency response, with further starts if that is worse than a simpler model."""
+    """Fit one candidate from the frequency response, and from more initial guesses if a simpler model fits better."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
@@ -142,7 +142,7 @@ def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier
 
 
 def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
-    """Return whether no other start is needed: the fit is good enough, was found twice, or its delay vanishes."""
+    """Return whether more initial guesses are unnecessary: the fit is good, was found twice, or has no delay."""
     params, least, _ = min(ends, key=lambda e: e[1])
     again = sum(e[1] <= (1 + _ALIKE) * least for e in ends) > 1
     none = structure.delayed and np.exp(params[-1]) <= _DELAY * problem.fine
@@ -160,7 +160,10 @@ def _with_pair(pair: np.ndarray | None, order: int) -> list[np.ndarray]:
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:
-    """Return the candidate with the fewest parameters near the best score (rule at the head of this file)."""
+    """Return the candidate with the fewest parameters whose held-out error is within 3 % of the smallest.
+
+    The rules for ties are at the head of this file.
+    """
     best = min(c.score for c in candidates)
     near = [c for c in candidates if c.score <= NEAR * best]
     fewest = min(c.structure.complexity for c in near)
@@ -174,7 +177,7 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
 
 
 def _tied(better: Candidate, other: Candidate) -> bool:
-    """Return whether two held-out errors differ by less than the uncertainty of their difference over blocks."""
+    """Return whether two held-out errors differ by less than two standard errors of their difference over blocks."""
     gained = []
     for one, two in zip(better.heldout.error, other.heldout.error, strict=True):
         edges = np.linspace(0, len(one), _BLOCKS + 1).astype(int)[:-1]

@@ -21,7 +21,7 @@ _GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the m
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
-    """Return whether the model explains anything, and a warning if it explains little or hardly more than noise."""
+    """Return whether the model explains the output, and a warning if it explains little or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
     left = f"{100 * chosen.heldout.score:.0f} % of the output's rms remains unexplained on held-out blocks"
     if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
@@ -56,7 +56,7 @@ def _reason(problem: Problem) -> str:
 
 
 def _fed_back(problem: Problem) -> bool:
-    """Return whether the output predicts the input better than the earlier input does."""
+    """Return whether the output predicts the input better than the earlier input does, as in a closed loop."""
     alone = beside = 0.0
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         y = np.where(weight > 0, output, output[weight > 0].mean())
@@ -76,7 +76,7 @@ def _fed_back(problem: Problem) -> bool:
 
 
 def _noise_part(problem: Problem) -> float:
-    """Return the sensor noise as a fraction of the outputs' rms about their means, pooled over records."""
+    """Return the sensor noise as a fraction of the output's standard deviation, pooled over records."""
     noise = moved = 0.0
     for output, weight in zip(problem.output, problem.weight, strict=True):
         y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
@@ -85,7 +85,10 @@ def _noise_part(problem: Problem) -> float:
 
 
 def _folded_left(problem: Problem) -> float:
-    """Return the smallest residual of an even function of a linear motion, as a fraction of the output's deviation."""
+    """Return the smallest residual of a fit of |x| and x^2 to the output, as a fraction of the output's deviation.
+
+    x: linear responses with poles of a grid. If it is small, the sensor does not show the sign of the motion.
+    """
     best = np.inf
     for poles in _poles(problem):
         missed = whole = 0.0
@@ -102,7 +105,7 @@ def _folded_left(problem: Problem) -> float:
 
 
 def _poles(problem: Problem) -> Iterator[np.ndarray]:
-    """Yield logarithms of the coefficients of single lags and of modes, over the band of the records."""
+    """Yield the logarithms of the pole coefficients of single lags and modes on a grid over the band of the records."""
     for omega in np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID):
         yield np.array([np.log(omega)])
         for damping in _DAMPINGS:

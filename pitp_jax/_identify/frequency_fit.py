@@ -1,4 +1,4 @@
-"""Poles and delays of every order from the frequency response, by Levenberg-Marquardt (optimistix).
+"""Fit poles and delays of every order to the frequency response, by Levenberg-Marquardt (optimistix).
 
     minimise  sum_k | g M(j w_k) - G_k |^2 / s_k^2 + 1e-8 |p - p_0|^2,    s_k: its standard error, at least 2 % of |G_k|
     M = e^{-s tau} sinc^2(w h / 2) prod_active e^q / (s^2 + e^p s + e^q) [e^r / (s + e^r)],    s = j w,  g: real
@@ -33,7 +33,7 @@ _RIDGE = 1e-4
 def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
-    """Return parameters of every (order, delayed): logarithms of pole coefficients (rad/s), then of the delay (s)."""
+    """Fit every (order, delayed); return logarithms of the pole coefficients (rad/s), then of the delay (s)."""
     s, value, weight, held, unit = _Lines.of(response, dt)
     shapes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*shape, s, value / held, weight * held, unit * dt), _mask(*shape)) for shape in shapes]
@@ -51,14 +51,14 @@ def fit_response(
 
 
 def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
-    """Return logarithms of the pole coefficients (rad/s) from the linear equation-error fit, which needs no start."""
+    """Return log pole coefficients (rad/s) of a linear equation-error fit, which needs no initial guess."""
     s, value, weight, held, unit = _Lines.of(response, dt)
     start = _start(order, False, s, value / held, weight * held, unit * dt)
     return _logs(start, order, unit)
 
 
 class _Lines(NamedTuple):
-    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of a held input."""
+    """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of the hold."""
 
     s: np.ndarray
     value: np.ndarray
@@ -68,7 +68,7 @@ class _Lines(NamedTuple):
 
     @classmethod
     def of(cls, response: FrequencyResponse, dt: float) -> "_Lines":
-        """Return the coherent lines of a response sampled every `dt` seconds."""
+        """Select the frequencies at which a response, sampled every `dt` seconds, is coherent."""
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
         weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
@@ -78,13 +78,13 @@ class _Lines(NamedTuple):
 
 
 def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
-    """Return the logarithms of the pole coefficients of one fit, in rad/s."""
+    """Return the logarithms of one order's pole coefficients in rad/s, from a padded and scaled parameter vector."""
     logs = np.concatenate([row[: 2 * (order // 2)], row[2 * _PAIRS : 2 * _PAIRS + order % 2]])
     return logs + np.log(unit) * np.array([1.0, 2.0] * (order // 2) + [1.0] * (order % 2))
 
 
 def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:
-    """Return the fitted parameters of one order. Fits run in sequence, because a batch compiles twice as long."""
+    """Return the fitted parameters of one order. Orders are fitted one by one: a batch compiles twice as long."""
     solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
     solution = optimistix.least_squares(
         _residual, solver, start, args=(start, mask, *data), max_steps=_STEPS, throw=False
@@ -98,7 +98,7 @@ def _mask(order: int, delayed: bool) -> np.ndarray:
 
 
 def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
-    """Return the poles of the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, for the best of a few delays."""
+    """Return initial parameters from the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, at the best delay."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
     for late in _DELAYS if delayed else (0.0,):
         target = np.exp(-s * late * sample) / value
@@ -130,7 +130,7 @@ def _reflected(roots: np.ndarray) -> np.ndarray:
 
 
 def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
-    """Return the weighted misfit, real and imaginary parts; masked parameters keep their starting values."""
+    """Return the weighted error of the fitted response, real then imaginary parts; masked parameters do not change."""
     start, mask, omega, real, imag, weight, held = given
     s, value = 1j * omega, real + 1j * imag
     p = where(mask > 0, p, start)

@@ -1,4 +1,4 @@
-"""The measured frequency response of the records, with its standard error and coherence.
+"""Measure the frequency response of the records, with standard error and coherence.
 
     Y(k + r) = (G + g_1 r + g_2 r^2) U(k + r) + t_0 + t_1 r + t_2 r^2 + e,    r = -6 ... 6     (least squares)
     coherence = |G|^2 S_uu / (|G|^2 S_uu + s_e^2)
@@ -27,7 +27,7 @@ _FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of highest to lowest, 
 
 @dataclass(frozen=True)
 class FrequencyResponse:
-    """Output over force (base units) at some frequencies (Hz), with standard error and coherence."""
+    """Response of the output to the input (m per V^2 or V) at frequencies (Hz), with standard error and coherence."""
 
     hz: Float[np.ndarray, " lines"]
     value: Complex[np.ndarray, " lines"]
@@ -36,12 +36,12 @@ class FrequencyResponse:
 
     @property
     def coherent(self) -> np.ndarray:
-        """Return which lines have a coherence of at least 0.8, shape (lines,)."""
+        """Return True for the frequency lines whose coherence is at least 0.8, shape (lines,)."""
         return self.coherence >= _COHERENT
 
     @property
     def rich(self) -> bool:
-        """Return whether enough lines are coherent, over a wide enough band, to distinguish orders and delays."""
+        """Return whether coherent lines are numerous and wide enough in band to distinguish orders and delays."""
         known = self.hz[self.coherent]
         return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
 
@@ -50,7 +50,7 @@ UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros
 
 
 def frequency_response(problem: Problem) -> FrequencyResponse:
-    """Return the response of every record on logarithmically spaced lines, all records' lines in one list."""
+    """Measure the frequency response of every record at logarithmically spaced frequencies, sorted by Hz."""
     each = max(_LINES // len(problem.drive), 8)
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
@@ -68,7 +68,7 @@ def frequency_response(problem: Problem) -> FrequencyResponse:
 
 
 def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Sequence[np.ndarray]:
-    """Return frequencies, response, standard error and coherence of one record."""
+    """Return frequencies (Hz), response, standard error and coherence of one record."""
     u, y = np.fft.rfft(force)[1:], np.fft.rfft(output)[1:]
     last = len(u) - 2 * _HALF - 2
     middle = np.unique(np.geomspace(_HALF, max(last, _HALF + 1), 4 * most).astype(int))

@@ -22,7 +22,7 @@ _LEAST = 1e-3  # of the output: no record resolves less
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Residual of every record by fits without its block (over the output's rms; 0 where not scored).
+    """Held-out residual of every record, from fits without each block (1 = the output's rms; 0 where not scored).
 
     Attributes:
         score: rms of the error over the standard deviation of the output, both about the block's mean.
@@ -36,7 +36,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One structure, its parameters, and its residual in sample (mean square, output = 1) and held out.
+    """A fitted candidate: structure, parameters, and its residuals in sample (mean square, output = 1) and held out.
 
     `known`: the records determine its poles (`order_fit`).
     """
@@ -50,12 +50,12 @@ class Candidate:
 
     @property
     def score(self) -> float:
-        """Return the held-out score, combined with the smallest error that a record resolves."""
+        """Return the held-out error as a fraction of the output's deviation, at least 0.1 %."""
         return float(np.hypot(self.heldout.score, _LEAST))
 
 
 def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
-    """Return the energy of error and output in octaves, from one period per record to the Nyquist frequency."""
+    """Return the rms of held-out error and output in octaves, from one period per record to the Nyquist frequency."""
     low, high = 1 / problem.seconds, 0.5 / problem.dt
     edges = low * 2.0 ** np.arange(int(np.ceil(np.log2(high / low))) + 1)
     total = np.zeros((2, len(edges) - 1))
@@ -69,7 +69,7 @@ def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
 
 
 def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> HeldOut:
-    """Refit from `params` without each fold in turn, and return the errors on the folds left out."""
+    """Refit without each third of the blocks in turn, from `params`; return the errors on the blocks left out."""
     edges = [np.linspace(0, len(w), 3 * _FOLDS + 1).astype(int) for w in problem.weight]
     error = [np.zeros(len(w)) for w in problem.weight]
     scored = [np.zeros(len(w)) for w in problem.weight]

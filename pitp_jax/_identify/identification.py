@@ -1,4 +1,4 @@
-"""Identification (the paper's tfest step): a continuous-time ODE of order n, no zeros, fitted by output error.
+"""Identify a continuous-time ODE of order n without zeros by output error (the paper's tfest step).
 
     F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + offset_r + noise
 
@@ -57,7 +57,7 @@ _HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a perio
 
 @dataclass(frozen=True)
 class Identification(Shown):
-    """The model of the chosen order, all orders compared, and the initial state of every record.
+    """The identified model, the best candidate of every compared order, and the initial state of every record.
 
     Attributes:
         model: its `output` has the offset and direction of most records.
@@ -86,7 +86,7 @@ class Identification(Shown):
         return [vars(fit) for fit in self.orders]
 
     def __repr__(self) -> str:
-        """Return two lines: the chosen order with its residual, and the initial states of the records."""
+        """Return two lines of text: the chosen order with its residual, and how the records start."""
         c, kinds = self.chosen, [b.begins for b in self.beginnings.values()]
         begin = ", ".join(f"{kinds.count(kind)} {word}" for kind, word in _BEGIN.items() if kind in kinds)
         natural = ", ".join(f"{f:.4g}" for f in c.natural_hz)
@@ -97,11 +97,11 @@ class Identification(Shown):
 
     @property
     def rest(self) -> dict[str, bool]:
-        """Return which records start at rest, by name."""
+        """Return for every record, by name, whether it starts at rest."""
         return {name: b.begins == "rest" for name, b in self.beginnings.items()}
 
     def to_scipy(self) -> StateSpace:
-        """Return the model in SciPy's state space x, x', ... x^(n-1), from force (V^2 or V) to displacement (m).
+        """Return the model in SciPy's state space x, x', ... x^(n-1), from input (V^2 or V) to displacement (m).
 
             x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
 
@@ -115,7 +115,7 @@ class Identification(Shown):
         return StateSpace(a, b, out, np.zeros((1, 1)))
 
     def to_control(self):
-        """Return the model as python-control's `StateSpace`, for `bode_plot`, `lqr` and others.
+        """Return the model as `StateSpace` of python-control, for example for `bode_plot` or `lqr`.
 
         Raises:
             BadInput: python-control is not installed.
@@ -139,7 +139,7 @@ def identify(
     leave_out: Sequence[str] = (),
     progress: Callable[[str], None] = lambda line: None,
 ) -> Identification:
-    """Fit a linear ODE to records by output error.
+    """Identify a linear ODE of the lowest sufficient order from records, by output error.
 
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
@@ -197,7 +197,7 @@ def identify(
 def _check_options(
     order: int | str, input_map: str, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
 ) -> None:
-    """Refuse options of `identify` that do not exist or exclude each other."""
+    """Refuse options of `identify` that do not exist or that exclude each other."""
     if input_map not in INPUT_MAPS:
         raise BadInput(f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}")
     if order != "auto" and order not in ORDERS:
@@ -214,7 +214,7 @@ def _candidates(
     small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
-    """List the candidates of the requested orders, holds and delays, in ascending order.
+    """Fit candidate models of the orders, holds of the input and delays that the options allow, in ascending order.
 
     Raises:
         ComputationFailed: none of them could be simulated.
@@ -240,7 +240,7 @@ def _candidates(
 
 
 def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
-    """Return the problem on which candidates are compared: block means if there are more samples than necessary."""
+    """Return the normalised records on which candidates are compared: block means if there are many samples."""
     whole = build_problem(records, input_map, begun)
     fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
@@ -255,7 +255,10 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
 def _determined(
     candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
 ) -> tuple[Candidate, OrderFit]:
-    """Return the best candidate with known poles, refitted on all samples, and its description; or the last one."""
+    """Refit the best candidate whose poles the records determine on all samples; return the fit and its description.
+
+    If no candidate has known poles, the last one is returned.
+    """
     while True:
         chosen = choose(candidates)
         # a delay or block means hide which hold it is
@@ -269,7 +272,7 @@ def _determined(
 
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
-    """Return the candidate refitted on all samples, under the hold with the least error if blocks did not decide."""
+    """Refit a candidate on all samples under each possible hold of the input; return the fit with the least error."""
     ends = []
     for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
         structure = replace(chosen.structure, hold=hold)
@@ -286,7 +289,7 @@ def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, band
 def _coloured(
     records: Sequence[Record], begun: Sequence[Beginning], fit: OrderFit, chosen: Candidate, problem: Problem
 ) -> list[Beginning]:
-    """Return initial states in which offsets measured at rest have the standard error that slow noise causes.
+    """Return initial states whose offsets measured at rest have a standard error that includes slow noise.
 
     Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
     effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
@@ -305,7 +308,7 @@ def _coloured(
 
 
 def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
-    """Return initial states with the fitted sensor offsets and directions."""
+    """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
     gains = solve(chosen.params, chosen.structure, problem).gains
     polarity = float(np.sign(gains[0]) or 1.0)
     errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1
@@ -324,7 +327,7 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
 def _to_model(
     chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, own: OutOfFold, said: tuple[str, ...]
 ) -> Fitted:
-    """Return the identified model, its states scaled by the rms of its own derivatives over the records."""
+    """Return the fitted model; the scale of state i is rms displacement times omega^i, omega = (a_0 / a_n)^(1/n)."""
     n = chosen.order
     a = chosen.coefficients
     relative = chosen.stderr / a

@@ -1,4 +1,4 @@
-"""Linear ODEs that are stable by construction, and their exact response to a sampled input.
+"""Simulate linear ODEs that are stable by construction, exactly for a sampled input.
 
     P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
     P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)
@@ -28,7 +28,7 @@ _TERMS = 24
 
 
 def _factors(logs: np.ndarray) -> list[np.ndarray]:
-    """Return the ascending coefficients of the quadratic factors, and of the linear factor of an odd order."""
+    """Return the ascending coefficients of the quadratic factors, and of the linear factor if the order is odd."""
     sizes = np.exp(logs)
     pairs = [np.array([sizes[k + 1], sizes[k], 1.0]) for k in range(0, len(logs) - 1, 2)]
     return pairs + [np.array([sizes[-1], 1.0])] * (len(logs) % 2)
@@ -42,12 +42,12 @@ def _product(factors) -> np.ndarray:
 
 
 def polynomial(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n+1"]:
-    """Return ascending coefficients c_0 ... c_{n-1}, 1 of the polynomial whose factors have the logarithms `logs`."""
+    """Return ascending coefficients c_0 ... c_{n-1}, 1 from the logarithms of the coefficients of the factors."""
     return _product(_factors(logs))
 
 
 def polynomial_slopes(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n+1 n"]:
-    """Return the derivatives dc_i / dlogs_j: the other factors times the term that logs_j scales."""
+    """Return the derivatives of the polynomial's coefficients by the logarithms of the factors', shape (n + 1, n)."""
     factors, slopes = _factors(logs), np.zeros((len(logs) + 1, len(logs)))
     for k, factor in enumerate(factors):
         others = _product(factors[:k] + factors[k + 1 :])
@@ -58,7 +58,7 @@ def polynomial_slopes(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n+1 n
 
 
 def logs_from_roots(roots: np.ndarray) -> np.ndarray:
-    """Return the logarithms of the polynomial with these roots, after reflecting them into the stable half plane."""
+    """Return the logarithms of the factors' coefficients for these roots, reflected into the stable half plane."""
     roots = np.asarray(roots, complex)
     size = np.maximum(np.abs(roots), 1e-4)
     roots = np.asarray(-np.maximum(np.abs(np.real(roots)), 1e-3 * size) + 1j * np.imag(roots))
@@ -73,7 +73,7 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
 
 
 def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
-    """Return the poles, with equal ones slightly separated."""
+    """Return the poles in rad per unit of time; equal poles are separated slightly."""
     roots: list[complex] = []
     for factor in _factors(logs):
         if len(factor) == 2:
@@ -90,14 +90,17 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
 
 
 def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
-    """Return logarithms with poles beyond `fastest` scaled back to it; clipping coefficients would move all poles."""
+    """Slow poles beyond `fastest` down to it; return the logarithms of the polynomial factors' coefficients.
+
+    Clipping the coefficients instead would move all poles.
+    """
     known = poles(logs)
     size = np.abs(known)
     return logs_from_roots(known * np.minimum(fastest / size, 1.0)) if (size > fastest).any() else logs
 
 
 def _phi(z: complex, k: int) -> complex:
-    """Return phi_k(z), by its series near zero, where the closed form cancels."""
+    """Compute phi_k(z), by a power series near zero, where the closed form cancels."""
     if abs(z) < 1:
         term = total = 1 / factorial(k) + 0j
         for j in range(1, _TERMS):
@@ -111,7 +114,7 @@ def _phi(z: complex, k: int) -> complex:
 
 
 def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
-    """Return the derivatives dp_i / dlogs_j of the poles, in the order of `poles`."""
+    """Return the derivatives of the poles by the logarithms of the polynomial factors' coefficients, shape (n, n)."""
     known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
     for k, factor in enumerate(_factors(logs)):
         for i in range(2 * k, 2 * k + len(factor) - 1):
@@ -132,7 +135,7 @@ def respond(
     settled: bool = False,
     late: float = 0.0,
 ) -> Float[np.ndarray, " time"]:
-    """Return the response with unit static gain to the force drive^2 (or drive), shape (time,).
+    """Simulate the response with unit static gain to the input voltage^2 (or voltage), shape (time,).
 
     Args:
         logs: of the pole coefficients, in rad per unit of time.
@@ -165,7 +168,7 @@ def respond_with_slopes(
     settled: bool = False,
     late: float = 0.0,
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
-    """Return the response as `respond` does, its derivatives with respect to the logarithms, and its rate."""
+    """Simulate as `respond` does; return the response, its derivatives by the logarithms, and its time derivative."""
     if hold == "bandlimited":
         how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
         run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
@@ -203,7 +206,7 @@ def respond_with_slopes(
 def bounded_response(
     poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"], hold: str
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
-    """Return the response of stable and unstable poles (rad a sample) and their free responses, bounded on the record.
+    """Simulate stable and unstable poles (rad a sample) without divergence; return the response and the free responses.
 
     Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
     back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
@@ -227,7 +230,7 @@ def _finer(drive: np.ndarray) -> np.ndarray:
 
 
 def _split(late: float, samples: int) -> tuple[int, float]:
-    """Return a delay as whole samples minus a fraction of a sample."""
+    """Split a delay in samples into whole samples, rounded up, minus a fraction of a sample."""
     # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
     whole = min(int(np.ceil(late)), samples - 1)
     return whole, max(whole - late, 0.0)
@@ -239,7 +242,7 @@ def _residue(pole: complex, z: np.ndarray) -> complex:
 
 
 def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
-    """Return the rows that f_1, f_2, f_3 multiply, shape (1 to 3, T - 1), and the reference level of the force."""
+    """Return the input terms that f_1, f_2, f_3 multiply, shape (1 to 3, T - 1), and the equilibrium's input level."""
     force = drive**2 if square else drive
     level = float(force[0]) if settled else 0.0
     rows = [force[:-1] - level]
@@ -255,7 +258,7 @@ def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[
 
 
 def _weights(z: complex, part: float = 1.0) -> np.ndarray:
-    """Return f_1, f_2, f_3 for a fraction of a sample, and their derivatives by z, shape (2, 3)."""
+    """Return the weights f_1, f_2, f_3 for a fraction of a sample, and their derivatives by z, shape (2, 3)."""
     s = part
     one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
     both = np.array([[one, two, 2 * three - two],
@@ -264,7 +267,7 @@ def _weights(z: complex, part: float = 1.0) -> np.ndarray:
 
 
 def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
-    """Return a mode (`slope` 1: its derivative) a fraction of a sample later, without its last `whole` samples."""
+    """Advance a mode by a fraction of a sample and drop the last `whole` samples (`slope` 1: its derivative by z)."""
     kept = len(mode) - whole
     if not part:
         return mode[:kept]
@@ -276,14 +279,14 @@ def _decay(z: complex) -> complex:
 
 
 def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
-    """Return a mode that starts at 0, one sample longer than its input."""
+    """Simulate a mode from 0 under the input `pushed`; the result is one sample longer."""
     return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
 
 
 def coast(
     logs: Float[np.ndarray, " n"], samples: int, *, step: float
 ) -> tuple[Float[np.ndarray, "time n"], np.ndarray]:
-    """Return the free responses of every mode, of size one at the start, and which of them oscillate."""
+    """Return the free responses of every mode, of amplitude 1 at the start, and which of them oscillate."""
     columns, rings = [], []
     for pole in poles(logs) * step:
         if pole.imag < 0:
@@ -295,7 +298,7 @@ def coast(
 
 
 def powers(z: complex, samples: int) -> Complex[np.ndarray, " time"]:
-    """Return e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
+    """Compute e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
     size = int(np.ceil(np.sqrt(samples)))
     coarse, fine = np.exp(z * size * np.arange(size)), np.exp(z * np.arange(size))
     return (coarse[:, None] * fine).reshape(-1)[:samples]

@@ -1,4 +1,4 @@
-"""One identified order in physical units, with the covariance of its parameters.
+"""Describe one identified order in physical units, with the covariance of its parameters.
 
     a_i = c_i / (c_0 |g|)
     cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + sum_z v v' var(z),    H = J'J,    v = dp/dz = H^-1 J'w
@@ -29,7 +29,7 @@ _KNOWN = 3.0  # largest standard error of a logarithm; unmeasured poles have err
 
 @dataclass(frozen=True, repr=False)
 class OrderFit(Shown):
-    """One identified order under its best hold, with or without a delay.
+    """The best fit of one order: coefficients in physical units, errors, and whether the records determine it.
 
     Attributes:
         order: n.
@@ -76,7 +76,7 @@ class OrderFit(Shown):
 
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
-    """Return the physical coefficients, their standard errors, and the figures used to compare orders."""
+    """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
     structure, params = candidate.structure, candidate.params
     n, poles = structure.order, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
@@ -115,12 +115,12 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
 
 
 def identifiable(params: np.ndarray, structure: Structure, problem: Problem, converged: bool) -> bool:
-    """Return whether the records determine these poles (see `OrderFit`)."""
+    """Return whether the records determine the poles of this fit, as `OrderFit.poles_known` defines it."""
     return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
 
 
 def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool, bool]:
-    """Return whether the poles are determined, whether the plant is static, and whether it integrates."""
+    """Return three answers: are the poles determined, is the plant static, does the plant integrate its input."""
     known = np.sqrt(np.clip(np.diag(spread), 0, None))[: len(poles)]
     open_ones = int((known >= _KNOWN).sum())
     fast = bool(len(poles) == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
@@ -137,7 +137,7 @@ def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
 
 
 def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    """Return the coefficients a_i and their Jacobian with respect to the logarithms and the gain."""
+    """Return the coefficients of sum a_i x^(i) = F in physical units, and their derivatives by logarithms and gain."""
     logs = params[: structure.order]
     poly, slopes = polynomial(logs), polynomial_slopes(logs)
     a = poly / poly[0] / (abs(gain) * problem.scale)
@@ -147,7 +147,7 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
 
 
 def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
-    """Return the standard errors of the natural frequencies |p| / 2 pi (Hz), in the order of `upper`."""
+    """Return the standard errors of the natural frequencies |p| / 2 pi (Hz), in the order of the poles `upper`."""
     errors = []
     for pole in upper:
         slope = np.zeros(structure.order + 1)
@@ -161,7 +161,7 @@ def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> 
 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
-    """Return the covariance of (logarithms, gain, fitted offsets, log delay), as at the head of this file."""
+    """Return the covariance of (log pole coefficients, gain, fitted sensor offsets, log delay); see the file's head."""
     n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
     linear = 1 + problem.free_zeros
     order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]

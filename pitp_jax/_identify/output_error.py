@@ -1,4 +1,4 @@
-"""The output error of a linear ODE over a set of records, by variable projection.
+"""Compute and minimise the output error of a linear ODE on several records, by variable projection.
 
     r_t = w_t (y_t - g x_t(poles, delay) - offset - sum_j c_j n_jt)     x: unit static gain;  n_j: its own columns
     minimise over log pole coefficients and log delay;  inside, linearly:  gain g, offsets (one a group), c (per record)
@@ -32,7 +32,7 @@ FASTEST = 3.0  # rad a sample: these samples cannot show a faster pole
 
 @dataclass(frozen=True)
 class Structure:
-    """The order, the hold and the presence of a delay of one candidate."""
+    """A candidate's structure: the order, the hold of the input between samples, and whether it has a delay."""
 
     order: int
     hold: Hold = "foh"
@@ -40,13 +40,13 @@ class Structure:
 
     @property
     def complexity(self) -> int:
-        """Return the number of parameters that the held-out score must justify."""
+        """Return the number of poles and delays, which the held-out error must justify."""
         return self.order + self.delayed
 
 
 @dataclass(frozen=True)
 class Problem:
-    """The records of one identification, normalised.
+    """The records of one identification, divided by the rms of their outputs.
 
     Attributes:
         drive, output, weight: per record, shape (T_r,); output over `scale`, 0 where not measured.
@@ -69,12 +69,12 @@ class Problem:
 
     @property
     def samples(self) -> float:
-        """Return the number of samples that count."""
+        """Return the number of measured samples of all records that count."""
         return float(sum(w.sum() for w in self.weight))
 
     @property
     def free_zeros(self) -> int:
-        """Return the number of fitted sensor offsets."""
+        """Return the number of sensor offsets that are fitted."""
         return max(self.zeros) + 1
 
     @property
@@ -89,7 +89,7 @@ class Problem:
         return max(len(d) for d in self.drive) * self.dt
 
     def upper(self, structure: Structure) -> Float[np.ndarray, " parameters"]:
-        """Return upper bounds of the logarithms: no pole above the sampled band, no delay above a quarter record."""
+        """Return upper bounds of the log parameters: poles within the sampled band, delay up to a quarter record."""
         fastest, n = np.log(FASTEST / self.fine), structure.order  # block means can hide no pole that acts as a lag
         bounds = [np.log(2) + fastest, 2 * fastest] * (n // 2) + [fastest] * (n % 2)
         return np.array(bounds + [np.log(self.seconds / 4)] * structure.delayed)
@@ -97,7 +97,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Solved:
-    """Linear parameters at given poles, and the residual.
+    """Solution at given poles: gain, sensor offsets and initial states, with the residual.
 
     Attributes:
         gains: g, then the fitted offsets; own: per record its c.
@@ -111,12 +111,12 @@ class Solved:
 
     @property
     def rows(self) -> Float[np.ndarray, " rows"]:
-        """Return the residuals and penalties in one vector, record by record."""
+        """Return residuals and ridge penalties in one vector, record by record."""
         return np.concatenate([part for both in zip(self.residuals, self.penalty, strict=True) for part in both])
 
 
 def check_motion(records: Sequence[Record]) -> None:
-    """Refuse records in which nothing changes."""
+    """Refuse records whose input never changes or whose output never changes."""
     if np.ptp(np.concatenate([r.voltage for r in records])) == 0:
         raise BadInput("the input never changes in these recordings; record an excitation such as a sweep")
     if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
@@ -124,7 +124,7 @@ def check_motion(records: Sequence[Record]) -> None:
 
 
 def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning]) -> Problem:
-    """Return the records normalised, each from its first known state, without its offset and in one direction."""
+    """Return records without their sensor offset, with one sensor direction, divided by the rms of all outputs."""
     records = [from_known(r) for r in records]
     moved = [np.where(r.observed, b.direction * (r.displacement - b.zero), 0.0)
              for r, b in zip(records, beginnings, strict=True)]  # fmt: skip
@@ -146,19 +146,19 @@ def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " 
 
 
 def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> Float[np.ndarray, " time"]:
-    """Return the response of record k to its input, with unit static gain, shape (T,)."""
+    """Simulate the response of record k to the input, with unit static gain, shape (T,)."""
     return respond(params[: structure.order], problem.drive[k], **_how(params, structure, problem, k))
 
 
 def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the response of record k and its derivatives by the parameters, shape (parameters, T)."""
+    """Simulate the response of record k, shape (T,), and its derivatives by the parameters, (parameters, T)."""
     how = _how(params, structure, problem, k)
     run, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
     return run, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
 
 
 def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
-    """Return the arguments of `respond` for record k: step, input map, hold, initial state and delay."""
+    """Return the arguments of `respond` for record k: sampling interval, input map, hold, initial state, delay."""
     late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
     if problem.fine < problem.dt:  # block means are smooth; of a held input they are half a fine sample early
         late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
@@ -167,7 +167,7 @@ def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> 
 
 
 def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the free responses of record k, shape (T, columns), and which columns oscillate."""
+    """Return the free responses of record k, shape (T, columns), and which oscillate; none unless it starts moving."""
     samples = len(problem.drive[k])
     if problem.beginnings[k].begins != "moving":
         return np.zeros((samples, 0)), np.zeros(0, bool)
@@ -175,7 +175,7 @@ def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: i
 
 
 def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
-    """Return derivatives of the free responses of record k, of sizes `own`, by the parameters, (parameters, T)."""
+    """Return derivatives of record k's free response (amplitudes `own`) by the parameters, shape (parameters, T)."""
     time = np.arange(len(problem.drive[k])) * problem.dt
     slopes = np.zeros((len(params), len(time)))
     at, moves = 0, pole_slopes(params[: structure.order])
@@ -192,7 +192,10 @@ def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: i
 def solve(
     params: np.ndarray, structure: Structure, problem: Problem, runs: Sequence[np.ndarray] | None = None
 ) -> Solved:
-    """Solve for gain, offsets and initial states by least squares at these poles; `runs`: the responses if known."""
+    """Solve for gain, sensor offsets and initial states at given poles, by linear least squares.
+
+    `runs`: the responses to the inputs, if they are known already.
+    """
     parts, whole = [], 0.0
     for k, output in enumerate(problem.output):
         run = driven(params, structure, problem, k) if runs is None else runs[k]
@@ -215,7 +218,7 @@ def solve(
 def _linear(
     params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
 ) -> tuple[np.ndarray, int, np.ndarray]:
-    """Return weighted rows of record k (free responses, response, offsets, others), their first count, the ridge."""
+    """Return weighted regressors of record k (free responses first), and number and ridge of the free responses."""
     own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
     zeros = np.zeros((problem.free_zeros, len(weight)))
     if problem.zeros[k] >= 0:
@@ -227,7 +230,7 @@ def _linear(
 def jacobians(
     params: np.ndarray, structure: Structure, problem: Problem
 ) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
-    """Return the solution, and each record's weighted derivatives by (gain, offsets, parameters).
+    """Solve at given poles; return the solution and each record's weighted derivatives by (gain, offsets, parameters).
 
     A record's own columns are projected out; the ridge's derivatives come last.
     """
@@ -246,7 +249,7 @@ def jacobians(
 
 
 def inverse(gram: np.ndarray) -> np.ndarray:
-    """Return the inverse of J'J; a direction hidden by rounding gets the largest possible variance."""
+    """Invert a matrix J'J safely; a direction hidden by rounding gets a large but finite variance."""
     if not len(gram) or not np.isfinite(gram).all():
         return np.full_like(gram, np.nan)
     diagonal = np.diag(gram)
@@ -257,7 +260,7 @@ def inverse(gram: np.ndarray) -> np.ndarray:
 
 
 def normal_equations(params: np.ndarray, structure: Structure, problem: Problem) -> Normal:
-    """Return the sum of squares, half the gradient and J'J of the projected residual (Kaufman, 1975)."""
+    """Return the sum of squares, half its gradient and J'J of the output error, as in Kaufman (1975)."""
     with np.errstate(all="ignore"):
         solved, slopes = jacobians(params, structure, problem)
         here, n = solved.rows, len(params)
@@ -273,7 +276,7 @@ def normal_equations(params: np.ndarray, structure: Structure, problem: Problem)
 def least_squares(
     params: np.ndarray, structure: Structure, problem: Problem, most: int = 60, least: float = 1e-9
 ) -> tuple[np.ndarray, float, bool]:
-    """Fit the output error from a start; return parameters, mean square residual and whether it converged."""
+    """Fit the output error from initial parameters; return parameters, mean square residual, and convergence."""
     upper = problem.upper(structure)
     params = np.append(no_faster(params[: structure.order], 0.99 * FASTEST / problem.fine), params[structure.order :])
     params, converged = minimise(lambda p: normal_equations(p, structure, problem), params, upper, most, least)
@@ -284,7 +287,7 @@ def least_squares(
 
 
 def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.ndarray:
-    """Return parameters with no pole slower than `slowest`: an integrating pole would otherwise drift to zero."""
+    """Raise poles slower than `slowest` (rad/s) to it: an integrating pole would otherwise drift to zero."""
     params = params.copy()
     for k in range(0, structure.order - 1, 2):
         params[k + 1] = max(params[k + 1], params[k] + np.log(slowest))
@@ -294,12 +297,12 @@ def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.
 
 
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
-    """Return the problem with some samples left out of every sum."""
+    """Return the normalised records with only the samples marked in `keep` counted."""
     return replace(problem, weight=tuple(w * k for w, k in zip(problem.weight, keep, strict=True)))
 
 
 def alone(problem: Problem, k: int) -> Problem:
-    """Return the problem reduced to record k, in the same units."""
+    """Return the normalised records reduced to record k, in the same units."""
     return replace(
         problem,
         drive=problem.drive[k : k + 1],

@@ -1,4 +1,4 @@
-"""Remarks about an identification for the engineer, one sentence each.
+"""Write remarks about an identification for the engineer, one sentence each.
 
     least certain:      d log a = v sqrt(l)             v, l: eigenvector of the largest eigenvalue of cov log a
     creep:              e = b s + w,  tau s' = F - s    e: residual; significant by BIC, w coloured
@@ -26,7 +26,7 @@ _SURE, _SEEN = 10.0, 0.01  # BIC that creep must gain; fraction of the output's 
 
 
 def refusal(fit: OrderFit, problem: Problem) -> str:
-    """Return why the requested order was refused, and what to do."""
+    """Write why the requested order cannot be identified, and what to do."""
     why = "its poles are not determined by the data" if fit.converged else "the fit diverged"
     if _at_fastest(fit, problem):
         hz = FASTEST / problem.fine / (2 * np.pi)
@@ -36,7 +36,7 @@ def refusal(fit: OrderFit, problem: Problem) -> str:
 
 
 def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) -> list[str]:
-    """Return remarks on what the records do not determine; `every`: whether all orders were tried."""
+    """Write remarks on what the records do not determine; `every`: whether all orders were tried."""
     if every and chosen.heldout.score > _USELESS and (line := unstable_line(chosen, problem)):
         return [line]
     said, slowest = [], 2 * np.pi * float(fit.natural_hz[0])
@@ -74,7 +74,7 @@ def _at_fastest(fit: OrderFit, problem: Problem) -> bool:
 
 
 def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
-    """Return a line that the plant is unstable and what to record instead; None if no unstable pole is found."""
+    """Write that the plant is unstable and what to record instead; None if no unstable pole is found."""
     error = float(np.sqrt(chosen.cost))
     better = unstable_pole(error, problem)
     if better is None:
@@ -89,7 +89,7 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
 
 
 def _weak(fit: OrderFit) -> list[str]:
-    """Return lines on coefficients without influence and on the least certain combination of the others."""
+    """Write remarks on coefficients that the data do not show, and on the least certain combination of the others."""
     relative = fit.stderr / np.abs(fit.coefficients)
     # an unknown coefficient of these two kinds has a remark of its own
     hidden = {1} if fit.static else set()
@@ -117,7 +117,7 @@ def _weak(fit: OrderFit) -> list[str]:
 
 
 def _creep(chosen: Candidate, problem: Problem) -> list[str]:
-    """Return a line on creep that the order has no pole for, and how long to hold an input to measure it."""
+    """Write a remark on creep slower than the model's poles, and how long to hold an input to measure it."""
     taus = _LAGS * problem.seconds
     error, linear, lags, drift = _slow_parts(chosen, problem, taus)
     # The richest hypothesis sets the spectrum; otherwise creep would be removed as coloured noise.
@@ -149,7 +149,7 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
 
 
 def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Return block means over all records: residual (T,); columns of the linear parameters; lags; lines in time."""
+    """Return block means of the residual (T,), and of the fitted terms, lags and straight lines that may explain it."""
     params, structure = chosen.params, chosen.structure
     solved, parts = solve(params, structure, problem), []
     for k, weight in enumerate(problem.weight):

@@ -26,7 +26,7 @@ _MEMORY = 20  # times as many lags count in the band, because e and u may be cor
 
 @dataclass(frozen=True)
 class ResidualTest:
-    """Correlations of the chosen model's residual, pooled over records.
+    """Correlations of the chosen model's residual with itself and with the input, pooled over records.
 
     Attributes:
         lag: in s, shape (K,), from before zero to after it.
@@ -42,17 +42,17 @@ class ResidualTest:
 
     @property
     def white(self) -> bool:
-        """Return whether the residual is white: no lag but zero is correlated."""
+        """Return whether the residual is white: uncorrelated with itself at every lag except zero."""
         return bool((np.abs(self.own[self.lag != 0]) <= self.own_band).all())
 
     @property
     def independent(self) -> bool:
-        """Return whether the residual is uncorrelated with present and past input: a linear model is sufficient."""
+        """Return whether the residual is uncorrelated with present and past input; a linear model then suffices."""
         return bool((np.abs(self.drive[self.lag >= 0]) <= self.drive_band).all())
 
 
 def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
-    """Correlate the residual of all records with itself and with their forces."""
+    """Correlate the residual of all records with itself and with the input (V^2 or V), over lags in time."""
     period = 2 * np.pi / float(np.abs(poles_of(params, structure)).min())
     shortest = min(len(d) for d in problem.drive)
     spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
@@ -82,7 +82,7 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
 
 
 def _correlated(a: np.ndarray, b: np.ndarray, far: int) -> Float[np.ndarray, " lags"]:
-    """Return sum_t a_t b_{t+k} for k = -far ... far."""
+    """Correlate two signals: return sum_t a_t b_{t+k} for k = -far ... far."""
     size = next_fast_len(len(a) + far, real=True)  # padded: no lag wraps around
     whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
     return np.concatenate([whole[-far:], whole[: far + 1]])

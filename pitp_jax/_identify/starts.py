@@ -1,4 +1,4 @@
-"""Starts of the output-error fit when no frequency response is available: ARX with instruments, and a grid.
+"""Find initial poles for the output-error fit without a frequency response: by ARX with instruments, and on a grid.
 
     y_t + a_1 y_{t-1} + ... + a_n y_{t-n} = b_0 u_t + ... + b_n u_{t-n} + c,      theta = (Z'X)^-1 Z'y
     Z = X at first, then X with y replaced by the model's own run (instrumental variables: no bias by noise)
@@ -24,7 +24,7 @@ _DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
 
 
 def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray], most: int) -> list[np.ndarray]:
-    """Return the best few starting parameters from these sets of poles (rad/s), with several delays if fitted."""
+    """Return the best few initial parameters among these sets of poles (rad/s), with several delays if fitted."""
     scored = []
     for some in roots:
         if len(some) != structure.order or not np.isfinite(some).all():
@@ -48,7 +48,7 @@ def cost_of(params, structure: Structure, problem: Problem) -> float:
 
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
-    """Return guesses of the poles (rad/s) of an order, one array each."""
+    """Return several initial guesses of the poles (rad/s) of a model of this order."""
     tried = list(_arx(order, problem))
     longest = max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
@@ -63,7 +63,7 @@ def guesses(order: int, problem: Problem) -> list[np.ndarray]:
 
 
 def one_more(logs: np.ndarray) -> list[np.ndarray]:
-    """Return sets of poles (rad/s) of the next higher order: the known poles plus a slow or a fast one."""
+    """Return sets of poles (rad/s) of the next higher order: the known poles plus one slower or faster pole."""
     known = poles(logs)
     size = np.abs(known)
     return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]
@@ -78,7 +78,7 @@ def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
 
 
 def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndarray | None:
-    """Return poles (rad/s) of the ARX model with instruments; None if it cannot be solved."""
+    """Return the poles (rad/s) of an ARX model fitted with instrumental variables; None if it cannot be solved."""
     series = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         seen = np.flatnonzero(weight)

@@ -22,7 +22,9 @@ _FRACTION = 0.5  # of the stable model's residual; free end values alone reduce 
 
 
 def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | None:
-    """Return the unstable pole (rad/s) of a model that halves the residual `stable`, and its residual; otherwise None.
+    """Return the unstable pole (rad/s) of a model that halves the residual of the best stable model; None without one.
+
+    The residual of that model comes with it.
 
     `stable`: residual of the stable model, as a fraction of the output's rms.
     """
@@ -40,7 +42,7 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
 
 
 def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
-    """Yield starting values: logarithms of the unstable pole (or pair: real, imaginary part), then the stable ones."""
+    """Yield initial parameters: logarithms of the unstable pole (or of a pair's parts), then of the stable ones."""
     grid = np.log(np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID))
     others = [np.sort(grid)[k : k + order - 1 - pair] for k in range(_GRID - (order - 1 - pair) + 1)]
     for size in grid:
@@ -49,7 +51,7 @@ def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
 
 
 def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
-    """Return the poles (rad/s), the unstable pole or pair first."""
+    """Return the poles (rad/s) of the parameters, the unstable pole or pair first."""
     sizes = np.exp(np.asarray(params))
     if not pair:
         return np.append(sizes[0], -sizes[1:]).astype(complex)
@@ -57,7 +59,7 @@ def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
 
 
 def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
-    """Return the residual of all records, divided by the square root of the number of samples."""
+    """Fit gains, offsets and free responses; return the residual of all records over sqrt(number of samples)."""
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         force = drive**2 if problem.square else drive

@@ -1,4 +1,4 @@
-"""Write identified parameters into a MuJoCo file, and play the recordings' commands in MuJoCo to verify them.
+"""Write identified parameters into a MuJoCo file, and simulate the recorded commands in MuJoCo to verify them.
 
     SimToReal + arm.xml -> changes of attributes -> arm_identified.xml -> commands in MuJoCo -> gap before, after
 

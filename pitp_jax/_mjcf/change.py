@@ -1,11 +1,11 @@
-"""Changes of a MuJoCo file, and parameters that it cannot hold."""
+"""Describe changes of a MuJoCo file, and parameters that the file cannot hold."""
 
 from dataclasses import dataclass
 
 
 @dataclass(frozen=True)
 class Change:
-    """One changed attribute.
+    """One attribute of a MuJoCo file with its old and new value.
 
     Attributes:
         element: `joint`, `actuator`, or `body` for one that is inserted.
@@ -23,7 +23,7 @@ class Change:
 
 @dataclass(frozen=True)
 class NotWritten:
-    """A parameter that a MuJoCo file cannot hold: its name, its value, and the nearest way with its cost."""
+    """A parameter that a MuJoCo file cannot hold: name, value, and the nearest substitute."""
 
     words: str
     value: str

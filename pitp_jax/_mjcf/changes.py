@@ -1,4 +1,4 @@
-"""Convert the parameters of a simulator and a robot to attributes of a MuJoCo file.
+"""Convert parameters of a simulator and a robot to attributes of a MuJoCo file.
 
     F: torque per unit of the command,   k: how much larger the robot's F is
     J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients changed alike
@@ -42,7 +42,7 @@ _WAYS = {
 
 
 def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
-    """Return the changes to write into the file, and the parameters that it cannot hold.
+    """Return the changes to write into a MuJoCo file, and the parameters that the file cannot hold.
 
     Args:
         joint: as it is in the file.
@@ -96,7 +96,7 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
 def _with_weight(
     joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
 ) -> tuple[list[Change], str]:
-    """Add a weight on the arm, and subtract its inertia from the armature."""
+    """Add a weight on the arm to the changes, and subtract its inertia from the joint's armature."""
     if row is None or not joint.hinge:
         return found, ""
     changed = next((c for c in found if c.attribute == "armature"), None)
@@ -112,7 +112,7 @@ def _with_weight(
 
 
 def _is_known(p: Parameter) -> bool:
-    """Return whether a parameter has a known difference, larger than two standard errors."""
+    """Return whether a parameter differs between simulator and robot by more than two standard errors."""
     return bool(p.difference) and (p.stderr is None or bool(abs(p.difference) > 2 * p.stderr))
 
 
@@ -122,7 +122,7 @@ def _value(p: Parameter) -> str:
 
 
 def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
-    """Return the factor on the gain, and the alternative interpretation of the parameters."""
+    """Return the factor on the actuator's gain, and another reading of the same data as text."""
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""
@@ -170,12 +170,12 @@ def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | 
 
 
 def _lag_attribute(joint: Joint) -> str | None:
-    """Return the attribute of this actuator that holds a lag: position has one, motor none."""
+    """Return the attribute in which this kind of actuator holds a time lag; None for a motor."""
     return {"position": "timeconst", "general": "dynprm"}.get(joint.actuator_tag.name)
 
 
 def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
-    """Return the changes of the actuator's delay, lag and limits."""
+    """Return the changes of the actuator's delay, time lag and limits."""
     found = []
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)
@@ -222,5 +222,5 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:
-    """Return the start tag that a change belongs to."""
+    """Return the XML start tag that holds the changed attribute."""
     return joint.actuator_tag if change.element == "actuator" else joint.joint_tag

@@ -1,4 +1,4 @@
-"""A MuJoCo file and its includes as text: find a start tag, change its attributes, keep every other byte.
+"""Edit a MuJoCo file and its includes as text: find a start tag, change its attributes, keep every other byte.
 
     <joint name="elbow" damping="0.1"/>   ->   <!-- damping: 0.1 -> 0.14 -->
                                                <joint name="elbow" damping="0.14"/>
@@ -21,7 +21,7 @@ _ASSETS = {"mesh": "meshdir", "hfield": "meshdir", "skin": "meshdir", "flex": "m
 
 @dataclass(frozen=True)
 class Tag:
-    """One start tag.
+    """One XML start tag with its attributes and its position in a file.
 
     Attributes:
         file: that holds it.
@@ -40,7 +40,7 @@ class Tag:
 
 @dataclass(frozen=True)
 class Document:
-    """The bytes of a file and its includes, and their start tags in the order of the model.
+    """A MuJoCo file and the files that it includes: bytes, and all XML start tags in the order of the model.
 
     Attributes:
         main: the file itself.
@@ -68,7 +68,7 @@ def read_document(path: str | Path) -> Document:
 
 
 def _tags(file: Path, folder: Path, path: tuple[str, ...], texts: dict[Path, bytes]) -> Iterator[Tag]:
-    """Yield the start tags of a file, with those of an included file in place of its <include>."""
+    """Yield the XML start tags of a file; those of an included file replace the `<include>`."""
     if file in texts:
         raise BadInput(f"{cleaned(file)}: is included twice, but MuJoCo takes each file once; remove one include")
     try:
@@ -108,7 +108,7 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
 
 
 def _tag_end(text: bytes, start: int) -> int:
-    """Return the position after the `>` of a start tag; a quoted value may contain one."""
+    """Return the position after the `>` that closes a start tag; a quoted value may contain `>` too."""
     found = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
     if found is None:  # such as an encoding with two bytes a letter
         raise BadInput("the MuJoCo file is not in UTF-8; save it as UTF-8")
@@ -117,7 +117,7 @@ def _tag_end(text: bytes, start: int) -> int:
 
 @dataclass(frozen=True)
 class Edit:
-    """New values of one tag's attributes with comments, and an element to insert before it."""
+    """A change of one XML tag: new attribute values, comments before it, and an element to insert before it."""
 
     tag: Tag
     attributes: Mapping[str, str]
@@ -126,7 +126,7 @@ class Edit:
 
 
 def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path, bytes]:
-    """Return the bytes of every file with the edits applied and a comment after the root's start tag."""
+    """Return the bytes of every file with the edits applied, and a comment at the top of the main file."""
     texts = {file: bytearray(text) for file, text in document.texts.items()}
     root = document.tags[0]
     places = [(e.tag.start, e.tag.end, e.tag.file, e) for e in edits] + [(root.end, root.end, root.file, None)]
@@ -149,7 +149,7 @@ def _comment(text: str) -> bytes:
 
 
 def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
-    """Replace values in their quotes; a new attribute comes last."""
+    """Set attributes in the bytes of an XML tag; existing values are replaced, new attributes come last."""
     for name, value in attributes.items():
         known = re.compile(rb"(\s" + name.encode() + rb"""\s*=\s*)("[^"]*"|'[^']*')""")
         new = escape(value, {'"': "&quot;"}).encode()
@@ -162,7 +162,7 @@ def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
 
 
 def assets(document: Document) -> list[Path]:
-    """Return the mesh, texture and other files that the model loads, relative to the main file's folder.
+    """Return the mesh, texture and similar files of the model, relative to the main file's folder.
 
     A path that leaves the folder, or a file that is not there, is left out.
     """

@@ -1,4 +1,4 @@
-"""The same parameters for Isaac Lab, Newton and URDF, as text to paste; not tested in these programs.
+"""Write a joint's parameters for Isaac Lab, Newton and URDF, as text to paste; not tested in these programs.
 
 Names: `ActuatorBaseCfg` and `DelayedPDActuatorCfg` of Isaac Lab 3 (isaaclab/actuators/actuator_base_cfg.py and
 actuator_pd_cfg.py); `ModelBuilder.JointDofConfig` of Newton 1 (newton/_src/sim/builder.py); URDF's <joint><dynamics>.
@@ -13,7 +13,7 @@ ISAAC, NEWTON, URDF = "isaac_actuator_cfg.py", "newton_actuator.json", "urdf_dyn
 
 
 def texts(joint: Joint) -> dict[str, str]:
-    """Return the text of each file by its name.
+    """Return the text of a file for each program, by file name.
 
     Args:
         joint: with the robot's parameters, as MuJoCo compiles them.
@@ -22,12 +22,12 @@ def texts(joint: Joint) -> dict[str, str]:
 
 
 def _gains(joint: Joint) -> tuple[float, float]:
-    """Return the gains about the joint: kp g^2 and kv g^2; zero for a motor."""
+    """Return position and velocity gain about the joint, kp g^2 and kv g^2 (g: gear); zero for a motor."""
     return (joint.kp * joint.gear**2, joint.kv * joint.gear**2) if joint.position else (0.0, 0.0)
 
 
 def _isaac(joint: Joint) -> str:
-    """Return a configuration: delayed by whole physics steps if the command is late; a drive's lag is not supported."""
+    """Write a joint for Isaac Lab; a delay is rounded to whole physics steps, and an actuator's lag is left out."""
     stiffness, damping = _gains(joint)
     numbers = {
         "stiffness": stiffness, "damping": damping, "armature": joint.armature, "friction": joint.frictionloss,
@@ -53,7 +53,7 @@ def _identifier(name: str) -> str:
 
 
 def _newton(joint: Joint) -> str:
-    """Return the arguments of a joint's axis."""
+    """Write the arguments of a joint's axis for Newton, as JSON."""
     stiffness, damping = _gains(joint)
     told = {
         "joint": joint.name, "target_ke": stiffness, "target_kd": damping, "armature": joint.armature,
@@ -67,7 +67,7 @@ def _newton(joint: Joint) -> str:
 
 
 def _urdf(joint: Joint) -> str:
-    """Return a joint's dynamics; URDF has no armature, delay or stiffness."""
+    """Write a joint's dynamics for URDF, which has no armature, delay or stiffness."""
     return (
         f"<!-- joint {joint.name.replace('--', '- -')}: identified on recordings -->\n"
         f'<dynamics damping="{number(joint.damping, 6)}" friction="{number(joint.frictionloss, 6)}"/>\n'

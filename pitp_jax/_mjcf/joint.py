@@ -1,4 +1,4 @@
-"""A joint and its actuator as MuJoCo compiles them: numbers after defaults, classes and units.
+"""Read a joint and its actuator as MuJoCo compiles them, after defaults, classes and units.
 
     position servo   torque = g (kp (c - g q) - kv g q'),   a command of 1 is a torque of F = kp g
     motor            torque = g c,                                             F = g
@@ -20,7 +20,7 @@ _NUDGE = 1e-3  # rad or m: by which a joint is moved to see whether a tendon fol
 
 
 def mujoco_package() -> Any:
-    """Import MuJoCo.
+    """Import the `mujoco` package.
 
     Raises:
         BadInput: it is not installed.
@@ -34,7 +34,7 @@ def mujoco_package() -> Any:
 
 @dataclass(frozen=True)
 class Joint:
-    """One joint with the actuator that drives it.
+    """The parameters of one joint and of the actuator that drives it.
 
     Attributes:
         name, actuator: their names; the actuator's may be empty.
@@ -82,12 +82,12 @@ class Joint:
 
     @property
     def torque_per_command(self) -> float:
-        """Return F, N m (or N) per unit of the command."""
+        """Return the torque (N m) or force (N) for a command of 1."""
         return self.kp * self.gear if self.position else self.gear
 
 
 def load_model(path: str | Path) -> Any:
-    """Compile a file.
+    """Compile a MuJoCo file to a model.
 
     Raises:
         BadInput: MuJoCo refuses it.
@@ -101,7 +101,7 @@ def load_model(path: str | Path) -> Any:
 
 
 def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joint:
-    """Read a joint and its actuator.
+    """Read the parameters of a joint and its actuator from a MuJoCo file.
 
     Args:
         document: of the file.
@@ -153,7 +153,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
 
 
 def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
-    """Return the component of gravity normal to the joint's axis, in the body's frame at q = 0, m/s^2."""
+    """Return the component of gravity normal to the joint's axis, m/s^2, in the body's frame at joint position 0."""
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joint]] = 0.0
     mujoco.mj_forward(model, data)
@@ -163,7 +163,7 @@ def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
 
 
 def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
-    """Refuse a joint whose motion changes the length of a tendon, because its parameters are not the joint's alone."""
+    """Refuse a joint that moves a tendon, whose force would be mistaken for the joint's."""
     if not model.ntendon:
         return
     data = mujoco.MjData(model)
@@ -187,7 +187,7 @@ def _effort(model: Any, a: int) -> float | None:
 
 
 def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
-    """Return the indices of the actuators that act on a joint itself."""
+    """Return the indices of the actuators that act directly on a joint."""
     of_joint = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
     return [
         k for k in range(model.nu) if int(model.actuator_trntype[k]) in of_joint and model.actuator_trnid[k][0] == joint
@@ -195,7 +195,7 @@ def _driving(mujoco: Any, model: Any, joint: int) -> list[int]:
 
 
 def _one_actuator(file: str, joint: str, names: Sequence[str], wanted: str | None) -> int:
-    """Return the index of the requested actuator of the joint."""
+    """Return the index of the actuator that the user names, or of the only one on the joint."""
     if wanted is not None:
         if wanted not in names:
             raise BadInput(f"{file}: no actuator {wanted!r} drives joint {joint!r}; it has {_listed(names)}")

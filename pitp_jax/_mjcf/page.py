@@ -1,4 +1,4 @@
-"""The page of a verification: the gap before and after, and every recording with MuJoCo's response."""
+"""Write the page of a verification: errors before and after the change, and every recording with MuJoCo's response."""
 
 from collections.abc import Mapping
 
@@ -16,12 +16,12 @@ _DRAWN = 12  # recordings
 
 
 def figures(found: Verification) -> dict[str, Figure]:
-    """Draw the first recordings with MuJoCo's response, by the recording's name."""
+    """Draw the first recordings with MuJoCo's response; return figures by recording name."""
     return {p.record.name: _drawn(p) for p in found.played[:_DRAWN]}
 
 
 def page(found: Verification, drawn: Mapping[str, Figure]) -> str:
-    """Return the verification as a self-contained HTML page, with the figures of `figures`."""
+    """Write the verification as an HTML page with the given figures."""
     headline = "The changed file is closer to the robot" if found.better else "The gap in MuJoCo"
     if found.better is False:
         headline = "The changed file is not closer to the robot"

@@ -1,4 +1,4 @@
-"""Play the commands of recordings in MuJoCo: each command held for its period, from the recording's initial state.
+"""Simulate recorded commands in MuJoCo: each command is held for one sample, from the recording's initial state.
 
 q(t_k) at the recording's own times;   q(0), q'(0) from its first samples;   other joints stay at their reference
 """
@@ -18,7 +18,7 @@ _FIRST = 4  # samples that determine initial position and speed
 
 
 def play(mjcf: str | Path, joint: str, records: Sequence[Record], actuator: str | None = None) -> list[np.ndarray]:
-    """Simulate the motion under the recordings' commands.
+    """Simulate the motion of a joint in MuJoCo under recorded commands.
 
     Args:
         mjcf: MuJoCo file.
@@ -67,7 +67,7 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
 
 
 def first_state(record: Record) -> tuple[float, float]:
-    """Return position and speed at the first sample from a line through four; at rest if its slope is noise.
+    """Return position and speed at the first sample, from a line through four samples; speed 0 if it is within noise.
 
     The noise is that of third differences, s^2 = mean (d^3 y)^2 / 20, which no smooth motion has.
     """
@@ -84,7 +84,7 @@ def first_state(record: Record) -> tuple[float, float]:
 
 
 def _hold_the_others(mujoco: Any, model: Any, data: Any, actuator: int) -> None:
-    """Command the other position servos to the positions of their joints."""
+    """Command all other position servos to the present positions of the joints that they drive."""
     for k in range(model.nu):
         joint, of_joint = model.actuator_trnid[k][0], int(model.actuator_trntype[k]) == int(mujoco.mjtTrn.mjTRN_JOINT)
         if k != actuator and of_joint and model.actuator_biasprm[k][1] < 0:

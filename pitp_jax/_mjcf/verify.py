@@ -1,4 +1,4 @@
-"""Play the recordings' commands in MuJoCo before and after the change, and compare the gaps to the robot.
+"""Simulate recorded commands in MuJoCo before and after a change, and compare the errors to the robot.
 
 gap = rms(q_robot - q_mujoco) / (max q_robot - min q_robot),   pooled over recordings
 better where the mean over blocks of e_before^2 - e_after^2 is above twice its standard error
@@ -24,7 +24,7 @@ _BLOCKS = 8  # of each recording
 
 @dataclass(frozen=True)
 class Played:
-    """One recording with MuJoCo's responses.
+    """One recording of the robot, with MuJoCo's responses to its command before and after the change.
 
     Attributes:
         record: of the robot.
@@ -38,13 +38,13 @@ class Played:
     after: np.ndarray
 
     def gap(self, after: bool = True) -> float:
-        """Return the rms of the difference, % of the recording's range; inf if the simulation diverged."""
+        """Return the rms difference between robot and MuJoCo, % of the recording's range; infinite if it diverged."""
         return _gap([self], after)
 
 
 @dataclass(frozen=True)
 class Verification:
-    """The gap between a robot and its MuJoCo model before and after a change.
+    """The errors of a MuJoCo model against the robot's recordings, before and after a change of the file.
 
     Attributes:
         mjcf, joint, version: file, joint, and MuJoCo's version.
@@ -57,7 +57,7 @@ class Verification:
     played: tuple[Played, ...]
 
     def gap(self, held_out: bool, after: bool = True) -> float | None:
-        """Return the pooled gap of the recordings that the diagnosis used, or of the others; None if there are none."""
+        """Return the error pooled over the recordings used by the diagnosis, or held out from it; None if none."""
         these = [p for p in self.played if p.held_out == held_out]
         if not these or (not after and these[0].before is None):
             return None
@@ -65,7 +65,7 @@ class Verification:
 
     @property
     def better(self) -> bool | None:
-        """Return whether the new file is better beyond the noise, on held-out recordings if there are any.
+        """Return whether the new file has a significantly smaller error, on held-out recordings if there are any.
 
         None without a file to compare with.
         """
@@ -86,7 +86,7 @@ class Verification:
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
 
     def lines(self) -> list[str]:
-        """Return the result as sentences for the terminal."""
+        """Write the verification as sentences for the terminal."""
         said = []
         for held_out, words in ((False, "recordings of the diagnosis"), (True, "other recordings")):
             after, before = self.gap(held_out), self.gap(held_out, after=False)
@@ -101,7 +101,7 @@ class Verification:
         return "\n".join(self.lines())
 
     def as_json(self) -> dict[str, Any]:
-        """Return a dict for JSON: gaps in % of range."""
+        """Return the errors (% of range) as a dict for JSON."""
 
         def part(held_out: bool) -> dict | None:
             after = self.gap(held_out)
@@ -129,7 +129,7 @@ def verify_mjcf(
     records: Sequence[Record], mjcf: str | Path, joint: str, *, before: str | Path | None = None,
     held_out: Sequence[Record] = (), actuator: str | None = None,
 ) -> Verification:  # fmt: skip
-    """Simulate the recordings' commands in MuJoCo and compare with the robot, before and after a change.
+    """Simulate recorded commands in MuJoCo and compare with the robot, before and after a change of the file.
 
     Args:
         records: of the robot, angles in rad or positions in m, commands in the unit of ctrl.

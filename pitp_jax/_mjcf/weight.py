@@ -1,4 +1,4 @@
-"""Write a weight on the arm into a MuJoCo file: a small body without a joint beside the joint.
+"""Add a weight on the arm to a MuJoCo file: a small body without a joint, beside the joint.
 
     torque = -m g l sin q,   so a mass m = w / (g l) at the distance l below the axis at q = 0; above it where w < 0
     inertia m l^2 = w l / g comes with it, and is subtracted from the joint's armature
@@ -19,7 +19,9 @@ _DISTANCES = 0.01, 0.1  # m: the longest whose inertia the armature still holds
 
 
 def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> tuple[Change, str, float] | None:
-    """Return the change, the element to insert and the remaining armature; None if gravity does not act on the joint.
+    """Return the change, the XML element of the weight, and the joint's remaining armature (kg m^2).
+
+    None if gravity does not act on the joint.
 
     Args:
         joint: as it is in the file.

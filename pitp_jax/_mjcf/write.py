@@ -1,4 +1,4 @@
-"""Write the identified parameters into a copy of the user's MuJoCo file; only attributes change.
+"""Write identified parameters into a copy of the user's MuJoCo file; only attributes change.
 
 out/arm_identified.xml    and beside it the files that it includes and loads, so that it can be played in place
 """
@@ -34,7 +34,7 @@ _APART = 0.1  # fraction by which the inertia of recordings and file may differ 
 
 @dataclass(frozen=True)
 class Written:
-    """The result of writing a MuJoCo file.
+    """The changes written into a MuJoCo file, the parameters that it cannot hold, and remarks.
 
     Attributes:
         file: the new file.
@@ -52,14 +52,14 @@ class Written:
     remarks: tuple[str, ...]
 
     def lines(self) -> list[str]:
-        """Return the result as sentences for the terminal."""
+        """Write the changes and remarks as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
         left = [f"no attribute for {n.words}, {n.value}; nearest substitute: {n.way}" for n in self.left]
         return [*said, *left, *self.remarks]
 
     def as_json(self) -> dict[str, Any]:
-        """Return a dict for JSON."""
+        """Return file, changes and remarks as a dict for JSON."""
         return {
             "file": str(self.file), "joint": self.joint, "actuator": self.actuator,
             "changes": [vars(c) for c in self.changes], "not_written": [vars(n) for n in self.left],
@@ -70,7 +70,7 @@ class Written:
 def write_mjcf(
     found: SimToReal, mjcf: str | Path, joint: str, out: str | Path, *, actuator: str | None = None
 ) -> Written:
-    """Write the parameters that the robot has beyond its simulator into a copy of the simulator's MuJoCo file.
+    """Write the identified parameters of the robot into a copy of the simulator's MuJoCo file.
 
     Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
     `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
@@ -102,7 +102,7 @@ def write_numbers(
     told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
     out: str | Path, actuator: str | None = None,
 ) -> Written:  # fmt: skip
-    """Write a table of parameters into a copy of a file.
+    """Write a table of parameters into a copy of a MuJoCo file.
 
     Args:
         told: parameters of the simulator and the robot, in the command's unit.
@@ -130,7 +130,7 @@ def write_numbers(
 
 
 def _heading(records: Sequence[Record], document: Document) -> str:
-    """Return the comment at the top, with the origin of the numbers."""
+    """Write the comment at the top of the new file: its original and the recordings, with checksums."""
     period = sorted({number(1e3 * r.dt) for r in records})
     original = hashlib.sha256(document.texts[document.main]).hexdigest()
     lines = [
@@ -142,7 +142,7 @@ def _heading(records: Sequence[Record], document: Document) -> str:
 
 
 def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> list[str]:
-    """Return remarks on disagreements of the file and the simulator's recordings, and on units."""
+    """Write remarks if the recordings disagree with the file in inertia or unit."""
     said = []
     seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
     if abs(seen - it.inertia) > _APART * it.inertia:
@@ -157,7 +157,7 @@ def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> lis
 
 
 def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], list[NotWritten]]:
-    """Return the changes that the installed MuJoCo supports, and the others."""
+    """Separate the changes into those that the installed MuJoCo supports and the others."""
     mujoco = mujoco_package()
     known, unknown = [], []
     for change in changes:
@@ -172,7 +172,7 @@ def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], li
 
 
 def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
-    """Return whether the installed MuJoCo knows an attribute, from the error message of its parser."""
+    """Return whether the installed MuJoCo knows an attribute, tested by compiling a small model."""
     body = f'<{element} joint="q" {attribute}="x"/>' if element != "joint" else f'<joint name="r" {attribute}="x"/>'
     inside, driven = (body, "") if element == "joint" else ("", f"<actuator>{body}</actuator>")
     text = f'<mujoco><worldbody><body><joint name="q"/>{inside}<geom size="1"/></body></worldbody>{driven}</mujoco>'
@@ -184,7 +184,7 @@ def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
 
 
 def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
-    """Write every file, after MuJoCo has compiled them in a temporary folder, so that no invalid file remains.
+    """Write the new file with its includes and assets, after MuJoCo has compiled them in a temporary folder.
 
     Raises:
         BadInput: MuJoCo rejects the new file.
@@ -211,7 +211,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
 
 
 def identified_name(mjcf: str | Path) -> str:
-    """Return the file name of the identified copy: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
+    """Return the name of the copy that is written: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
     return f"{Path(mjcf).stem.removesuffix(_SUFFIX)}{_SUFFIX}.xml"
 
 

@@ -1,4 +1,4 @@
-"""Plan: proposes the recordings to take, from the limits of the rig and the knowledge of the actuator.
+"""Propose the recordings to take, from the limits of the rig and what is known about the actuator.
 
     limits (voltage, slew, displacement, band) -> inputs      growth, sweep, a space-filling set, repeats
     trained model + its records -> Fisher information of free runs -> inputs that lower the expected error most

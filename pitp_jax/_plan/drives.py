@@ -1,4 +1,4 @@
-"""Turn points of a space-filling set into voltages that start and end at zero within the limits.
+"""Turn points of frequency and voltage range into voltages that start and end at zero within the limits.
 
     u(t) = w(t) [ (h + l)/2 - (h - l)/2 cos(phi(t)) ],   phi' = 2 pi f,   (f, l, h) through points p_1 ... p_K
     w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
@@ -25,7 +25,7 @@ _SLEW = 0.999  # of the limit, so that rounding in a file does not exceed it
 
 @dataclass(frozen=True)
 class Planned:
-    """One recording to take.
+    """One recording to take: its voltage, its purpose, and the stroke predicted for it.
 
     Attributes:
         name: of its file, in the order of playing.
@@ -51,12 +51,12 @@ class Planned:
 
     @property
     def seconds(self) -> float:
-        """Return the duration, s."""
+        """Return the duration of the planned recording, s."""
         return len(self.time) * self._dt
 
     @property
     def slew(self) -> float:
-        """Return the steepest change, V/s."""
+        """Return the largest rate of change of the voltage, V/s."""
         return float(np.abs(np.diff(self.voltage)).max()) / self._dt
 
     @property
@@ -65,7 +65,7 @@ class Planned:
 
 
 def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
-    """Draw Sobol points (frequency in Hz, lowest and highest voltage in V), shape (count, 3)."""
+    """Draw points that fill frequency (Hz), lowest and highest voltage (V) evenly (Sobol), shape (count, 3)."""
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
     drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced only for powers of two
     first, last = np.log(limits.band)
@@ -77,7 +77,7 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
 
 
 def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
-    """Return a sine whose frequency and extremes pass through points (K, 3), each for a K-th of the time, (T,)."""
+    """Return a sine that takes the frequency and extremes of each of K points for a K-th of the time, shape (T,)."""
     t = np.arange(round(seconds * limits.rate)) / limits.rate
     at = t / seconds * len(points)
     k = np.minimum(at.astype(int), len(points) - 1)
@@ -90,7 +90,7 @@ def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
 
 
 def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
-    """Return mean plus swing (T,) with ramps from zero and back; the swing shrinks until the slew limit is met."""
+    """Return mean + swing (V), shape (T,), with ramps at both ends and the swing reduced to the slew limit."""
     size, most = len(swing), _SLEW * limits.slew / limits.rate
     mean = np.broadcast_to(np.asarray(mean, np.float64), size)
     rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
@@ -107,5 +107,5 @@ def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.nd
 
 
 def _gently(voltage: np.ndarray, most: float) -> np.ndarray:
-    """Scale the voltage down until no step exceeds `most`."""
+    """Scale a voltage down until no two neighbouring samples differ by more than `most` (V)."""
     return voltage * min(1.0, most / np.abs(np.diff(voltage)).max())

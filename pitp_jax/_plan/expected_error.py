@@ -34,7 +34,7 @@ _STILL = 1e-3  # of the largest range: a run that moves less carries no informat
 
 @dataclass(frozen=True)
 class Motions:
-    """Free runs under voltages: M per run (P, P), largest displacement and range (m), whether it stayed finite."""
+    """Simulated motions: information on the parameters (P, P) each, stroke and range (m), whether it stayed finite."""
 
     information: tuple[np.ndarray, ...]
     stroke: np.ndarray
@@ -45,7 +45,9 @@ class Motions:
 def motions(
     model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
 ) -> Motions:
-    """Compute the information of free runs under these voltages; diverged or motionless runs carry none.
+    """Simulate the model under these voltages; return information on its parameters, displacements and ranges.
+
+    Diverged or motionless simulations carry no information.
 
     Errors are in % of sqrt(range^2 + floor^2), floor in m, because the noise does not shrink with the motion. Without
     `slopes` only displacements and ranges are computed.
@@ -60,7 +62,7 @@ def motions(
 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """Compute `motions` for runs of similar length, padded to one length."""
+    """Compute `motions` for voltages of similar length, padded to one length."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
@@ -83,7 +85,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
 
 
 def _batches(*arrays):
-    """Yield arrays in parts of equally many runs, padded with copies of the last, for one compiled program."""
+    """Yield arrays in batches of equal size, padded with copies of the last row, for one compiled program."""
     count = len(arrays[0])
     for first in range(0, count, _AT_ONCE):
         part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
@@ -96,7 +98,7 @@ def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
 
 
 def _starts(model: Model, first: np.ndarray, dt: float):
-    """Return initial states: at rest if an input starts at zero volts, otherwise settled at its first value."""
+    """Return initial states: at rest if a voltage starts at zero, otherwise settled at its first value."""
     rest = rest_state(model)
     held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
     settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
@@ -105,7 +107,7 @@ def _starts(model: Model, first: np.ndarray, dt: float):
 
 @dataclass(frozen=True)
 class Knowledge:
-    """The information in the records so far about a model.
+    """The information of the training records on a model: precision of the parameters, residual, noise floor.
 
     Attributes:
         precision: of the trained parameters, per unit of s^2, shape (P, P).
@@ -121,7 +123,7 @@ class Knowledge:
 
 
 def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
-    """Compute the information in a model's training records about it.
+    """Compute what the training records determine about the model's parameters.
 
     Raises:
         BadInput: a model without trained parameters, or one that diverges on every record.
@@ -148,7 +150,7 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
 
 
 def _miss(record: Record, prediction) -> tuple[float, float]:
-    """Return e_rms in % of range, and Bartlett's time between independent errors, s."""
+    """Return the rms error of a prediction, % of range, and the time between independent errors, s (Bartlett)."""
     seen = record.observed & prediction.scored
     e = np.where(seen, prediction.displacement - record.displacement, 0.0)
     e = e - seen * e[seen].mean()

@@ -1,4 +1,4 @@
-"""Plan a first session from the rig's limits alone.
+"""Plan the first recordings of an actuator from the limits of the rig alone.
 
     growth   sweeps of the whole band at 25, 50, 71, 100 % of the highest voltage: 1/16, 1/4, 1/2 and all of the force,
              smaller at frequencies at which the slew allows less
@@ -32,19 +32,19 @@ MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set if no d
 
 
 def default_duration(limits: Limits, fresh: bool) -> float:
-    """Return the default duration of all inputs together, s."""
+    """Return the default duration of all planned inputs together, s."""
     filling = FEWEST * max(limits.shortest, MOST_PERIODS / limits.band[0])
     return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits)) if fresh else filling
 
 
 def _least(limits: Limits) -> float:
-    """Return the shortest first session (s): two periods in the sweep, ramps in each growth sweep."""
+    """Return the shortest first session, s: two periods of the lowest frequency in the sweep, and all ramps."""
     growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _PARTS["growth"]
     return max(limits.shortest / _PARTS["sweep"], growth)
 
 
 def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
-    """Plan all recordings of a first session, in the order of playing.
+    """Plan all recordings of a first session, in the order in which they are played.
 
     Raises:
         BadInput: a duration that is too short for them.
@@ -67,7 +67,7 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
 
 
 def _growth(seconds: float, limits: Limits) -> list[Planned]:
-    """Plan the growth sweeps, named by their voltage; skip those that raise it by less than a tenth."""
+    """Plan sweeps of growing voltage; a sweep that raises the voltage by less than a tenth is left out."""
     grown, reached = [], 0.0
     for level in _GROWTH:
         time, voltage = _swept(level, seconds, limits)
@@ -82,7 +82,7 @@ def _growth(seconds: float, limits: Limits) -> list[Planned]:
 
 
 def _swept(level: float, seconds: float, limits: Limits):
-    """Return time and voltage of a sweep of the band between zero and `level` of the highest voltage."""
+    """Return time (s) and voltage (V) of a sweep of the band between zero and a fraction of the highest voltage."""
     top = level * limits.high / 2
     time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
     first, last = limits.band
@@ -96,7 +96,7 @@ def _swept(level: float, seconds: float, limits: Limits):
 
 
 def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
-    """Plan inputs that fill frequency, lowest and highest voltage, the smallest first.
+    """Plan inputs that fill frequency, lowest and highest voltage evenly, those of the smallest peak first.
 
     Raises:
         BadInput: a duration shorter than one input.
@@ -114,7 +114,7 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
 
 
 def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
-    """Plan a sine through these points (frequency, lowest, highest voltage), named by first frequency and peak."""
+    """Plan a sine through points of (frequency, lowest, highest voltage), named by its first frequency and peak."""
     voltage = through(points, seconds, limits)
     time = np.arange(len(voltage)) / limits.rate
     hz, shown = points[:, 0], limits.units.input
@@ -130,7 +130,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
 def in_order(
     recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
 ) -> tuple[Planned, ...]:
-    """Number the recordings, add the strokes at which each may follow, and negate every second one if requested.
+    """Number the recordings, set the stroke up to which each may follow, and negate every second one if `alternate`.
 
     `recorded`: the largest stroke of the earlier recordings, m.
     """
@@ -145,7 +145,7 @@ def in_order(
 
 
 def _farther(recordings: Sequence[Planned], limits: Limits, recorded: float) -> np.ndarray:
-    """Return how much larger each recording's stroke may be than all before it, shape (recordings,).
+    """Return the largest ratio of each recording's stroke to the strokes before it, shape (recordings,).
 
     A model predicts both strokes, the next one with half its damping. Without a model any resonance of the band counts.
     """

@@ -1,4 +1,4 @@
-"""Choose the recordings with the most information about the predictions, from each one's effect on the parameters.
+"""Choose the recordings that lower the variance of predictions most, from their information on the parameters.
 
     Lambda = sum_r M_r,   M_r = J_r' J_r,        J: derivatives of a free run by the parameters, in units of its error
     v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the inputs to be predicted
@@ -18,14 +18,14 @@ _JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix ba
 
 @dataclass(frozen=True)
 class Choice:
-    """A chosen candidate: its index, and the mean variance of the predictions once it is recorded."""
+    """A chosen candidate: its index, and the mean variance of the predictions after it is recorded."""
 
     place: int
     variance: float
 
 
 def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
-    """Return tr(Lambda^-1 G) of (P, P) matrices."""
+    """Return the mean variance of predictions, tr(Lambda^-1 G), for precision Lambda and predictions G, both (P, P)."""
     size = len(precision)
     return float(
         np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), predicted))
@@ -33,14 +33,14 @@ def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
 
 
 def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray) -> np.ndarray:
-    """Return v(c) for the information M_c of every candidate, shape (candidates,)."""
+    """Return the mean variance of predictions after each candidate alone is recorded, shape (candidates,)."""
     return np.array([variance(precision + c, predicted) for c in candidates])
 
 
 def choose(
     precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int, *, again: bool = False
 ) -> list[Choice]:
-    """Choose greedily the `count` candidates that lower the mean variance most, in that order.
+    """Choose `count` candidates one by one, each the one that lowers the mean variance of predictions most.
 
     Args:
         precision: Lambda before, shape (P, P).

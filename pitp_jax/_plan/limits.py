@@ -1,4 +1,4 @@
-"""Limits of the rig and the actuator that every planned recording keeps.
+"""Limits of rig and actuator that all planned recordings respect: voltage, slew, displacement, frequency.
 
     low <= u <= high,   |u'| <= slew,   |x| <= farthest,   f_low <= f <= f_high <= rate / 20
 
@@ -19,7 +19,7 @@ _RAMPS = 0.5  # fraction of a recording that its two ramps may take
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits that every planned recording keeps.
+    """Limits of rig and actuator that every planned recording respects.
 
     Attributes:
         low, high: voltage range in V, low <= 0 < high.
@@ -44,7 +44,7 @@ class Limits:
     units: Units = Units()
 
     def __post_init__(self):
-        """Refuse limits that no recording could meet."""
+        """Refuse limits that no recording could respect."""
         first, last = self.band
         wrong = []
         units = self.units
@@ -67,11 +67,11 @@ class Limits:
 
     @property
     def shortest(self) -> float:
-        """Return the shortest recording (s): two periods of the lowest frequency, at most half of it ramps."""
+        """Return the duration of the shortest recording, s: two periods of the lowest frequency, at most half ramps."""
         return max(_PERIODS / self.band[0], 2 * self.ramp(self.high) / _RAMPS)
 
     def ramp(self, volts: float) -> float:
-        """Return the duration (s) of a smooth step of so many volts, whose steepest slope is 15/8 of its mean.
+        """Return the duration (s) of a smooth step of this height (V), whose steepest slope is 15/8 of the mean slope.
 
         It is at least half a period of the highest frequency, so that a step excites no more than the band.
         """
@@ -79,6 +79,6 @@ class Limits:
 
 
 def default_rate(high_hz: float) -> float:
-    """Return a hundred samples a period of the highest frequency, rounded up to two digits."""
+    """Return the default sampling rate, Hz: 100 samples per period of the highest frequency, rounded up."""
     digits = 10.0 ** math.floor(math.log10(_DEFAULT_RATE * high_hz) - 1)
     return math.ceil(_DEFAULT_RATE * high_hz / digits - 1e-9) * digits

@@ -1,4 +1,4 @@
-"""Choose the next recordings for a trained model, among candidates or among existing recordings.
+"""Choose the next recordings for a trained model, among candidate inputs or existing recordings.
 
     chosen one after another, each the one that lowers v most, until the improvement is too small to see:
     1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
@@ -28,7 +28,7 @@ _SEEN = 0.01
 
 @dataclass(frozen=True)
 class Next:
-    """Recordings, the expected error (%) before and after each, how many are worth taking, and notes."""
+    """The chosen recordings, the expected error (%) before and after each, how many are worthwhile, and notes."""
 
     recordings: tuple[Planned, ...]
     expected: tuple[float, ...]
@@ -37,7 +37,7 @@ class Next:
 
 
 def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:
-    """Return the inputs whose stroke stays below the limit even with half the damping, and a note on the others.
+    """Keep the inputs whose predicted stroke stays below the limit, also at half the damping; add a note on the others.
 
     Raises:
         BadInput: none is allowed.
@@ -61,7 +61,7 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
-    """Choose the candidates (over frequency, swing and bias) that lower the expected error most under such inputs.
+    """Choose the inputs (over frequency, swing and bias) that lower the model's expected error most.
 
     Raises:
         BadInput: a length shorter than one recording, or no input within the allowed stroke.
@@ -89,7 +89,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
 
 
 def ranked(model: Model, records: Sequence[Record], others: Sequence[Record], duration: float | None) -> Next:
-    """Rank existing recordings, or the first `duration` seconds of each, by how they lower the error on all."""
+    """Rank existing recordings, or the first `duration` seconds of each, by how much they lower the expected error."""
     dt = others[0].dt
     size = None if duration is None else round(duration / dt)
     cut, whole = [r.voltage[:size] for r in others], [r.voltage for r in others]
@@ -113,7 +113,7 @@ def _lowered(expected: Sequence[float], j: int) -> str:
 def greedy(
     known: Knowledge, offered: Motions, predicted: Motions, seconds: np.ndarray, count: int
 ) -> tuple[list[int], tuple[float, ...], int]:
-    """Choose `count` candidates; return indices, expected errors (%) before and after, and how many help visibly."""
+    """Choose `count` candidates one by one; return indices, expected errors (%), and how many are worthwhile."""
     g = np.mean([m for m, ok in zip(predicted.information, predicted.finite, strict=True) if ok], axis=0)
     taken = choose(known.precision, [t * m for t, m in zip(seconds, offered.information, strict=True)], g, count)
     v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in taken)])

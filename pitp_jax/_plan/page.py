@@ -1,4 +1,4 @@
-"""The page of a plan: the recordings to play in order, the purpose of each, and when to stop."""
+"""Write the page of a plan: the recordings to play in order, the purpose of each, and when to stop."""
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -15,7 +15,7 @@ from .strokes import LEAST_DAMPING
 
 
 def page(plan: Plan, model: str = "") -> str:
-    """Return the plan as a self-contained HTML page.
+    """Write the plan as a self-contained HTML page.
 
     Args:
         plan: result of `plan`.
@@ -35,7 +35,7 @@ def page(plan: Plan, model: str = "") -> str:
 
 
 def headline(plan: Plan, modelled: bool) -> str:
-    """Return the plan in one line."""
+    """Write the plan in one line: how many recordings, and how long; or that no more are worthwhile."""
     if plan.stop:
         return "Stop: another recording would not lower the error noticeably"
     what = "more recordings" if modelled else "recordings"

@@ -37,7 +37,7 @@ _BAND = (0.05, 1.3)  # of a model's resonance, if no band is given
 
 @dataclass(frozen=True, repr=False)
 class Plan(Shown):
-    """Recordings to take, and the error expected after them.
+    """The recordings to take next, and the error expected after them.
 
     Attributes:
         recordings: to take, in this order; if existing, all of them, the best first.
@@ -56,7 +56,7 @@ class Plan(Shown):
 
     @property
     def seconds(self) -> float:
-        """Return the duration of all inputs (s), rests not counted."""
+        """Return the duration of all planned inputs, s, without the pauses."""
         return sum(r.seconds for r in self.recordings)
 
     def _rows(self) -> list[dict]:
@@ -97,7 +97,7 @@ def plan(
     seed: int = 0,
     units: Units | None = None,
 ) -> Plan:
-    """Plan the recordings to take next.
+    """Plan which recordings to take next, with or without a model.
 
     Args:
         model: identified or trained; None for a first session.
@@ -157,7 +157,7 @@ def plan(
 
 
 def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planned], float, tuple[str, ...]]:
-    """Plan a recording of the untrained frequencies within these limits; return it, the remaining seconds and notes."""
+    """Plan a recording of frequencies that the model was not trained at; return it, the remaining seconds, notes."""
     swing, resonance = (limits.high - limits.low) / 2, fitted.model.natural_frequency / (2 * np.pi)
     band = unexcited(
         fitted.origin.excited_input, limits.band, lambda hz: min(swing, limits.slew / (2 * np.pi * hz)), resonance
@@ -176,13 +176,13 @@ def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planne
 
 
 def _stroke(record: Record) -> float:
-    """Return how far a record moves from its first reading, m."""
+    """Return the largest distance of a record's output from its first reading, m."""
     read = record.displacement[np.isfinite(record.displacement)]
     return float(np.abs(read - read[0]).max())
 
 
 def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded: float = 0.0, **remarks) -> Plan:
-    """Number the recordings; negate every second voltage if requested and the force stays the same."""
+    """Number the recordings; negate every second voltage if `alternate` and the model squares its input."""
     # From 0 V up the input is squared; otherwise a negated voltage is a different input.
     alternate = alternate and limits.low == 0
     kept = replace(limits, low=-limits.high) if alternate else limits
@@ -191,7 +191,7 @@ def _played(drives: Sequence[Planned], limits: Limits, alternate: bool, recorded
 
 
 def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
-    """Return a note on recordings that the slew limit makes long."""
+    """Return a note if recordings are long because of the slew limit; otherwise nothing."""
     low, high = limits.band
     # duration of a swing between the limits and back at the largest slew
     stretched = 2 * (limits.high - limits.low) / limits.slew
@@ -207,7 +207,7 @@ def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
 
 
 def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None, units: Units) -> Plan:
-    """Rank existing recordings, the best first.
+    """Rank existing recordings by how much they lower the model's expected error, the best first.
 
     Raises:
         BadInput: no trained model, or none of its records.
@@ -227,12 +227,12 @@ def _ranking(model: Model | None, records, others: Sequence[Record], duration: f
 
 
 def trained(model: Model) -> bool:
-    """Return whether a model has an encoder, whose parameters more records can improve."""
+    """Return whether a model has a network that computes its coefficients, which more records can improve."""
     return not isinstance(model.encoder, ConstantEncoder)
 
 
 def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units: Units) -> Limits:
-    """Return the limits given, otherwise those of the model.
+    """Return the limits that the user states, completed by those of the model.
 
     Raises:
         BadInput: one is missing.

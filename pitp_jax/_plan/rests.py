@@ -1,4 +1,4 @@
-"""Choose the pause between two recordings, so that the actuator is at rest again.
+"""Choose the pause between two recordings, after which the actuator is at rest again.
 
 with a model    last time at which |x| is above 0.5 % of its largest value, after a hold at the largest voltage
 without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the band
@@ -17,13 +17,13 @@ _DAMPING = 0.05  # of an actuator without a model
 
 
 def first_rest(band: tuple[float, float]) -> float:
-    """Return the rest of a first session, s, rounded up to tenths."""
+    """Return the pause between recordings of a first session, s, rounded up to tenths."""
     w = 2 * np.pi * np.sqrt(band[0] * band[1])
     return min(float(np.ceil(-10 * np.log(_LEFT) / (_DAMPING * w)) / 10), _LONGEST)
 
 
 def rest_after(model: Model, volts: float, rate: float) -> float:
-    """Return the time in which the model returns to rest from a voltage, s, rounded up to tenths."""
+    """Return the time after which the model is at rest again from a constant voltage, s, rounded up to tenths."""
     model = at_rate(model, 1 / rate)
     u = np.zeros(round((_HELD + _LONGEST) * rate), np.float32)
     held = round(_HELD * rate)

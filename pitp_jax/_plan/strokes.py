@@ -1,4 +1,4 @@
-"""Predict the stroke of an input: with a model, with half its damping, and without a model.
+"""Predict the largest displacement under an input: with a model, with half its damping, and without a model.
 
     x'' + 2 zeta w x' + w^2 x = w^2 u^2        zeta = 0.01, any w of the band: without a model, up to one factor
 
@@ -21,7 +21,7 @@ _TRIES, _MARGIN = 12, 0.98
 
 
 def half_damped(model: Model) -> Model:
-    """Return the model with half the damping of its oscillating poles and the same stiffness."""
+    """Return the model with half the damping of its oscillating poles and unchanged stiffness."""
     a = model.physical_coefficients
     poles = np.roots(a[::-1])
     rings = np.abs(poles.imag) > 0
@@ -33,7 +33,7 @@ def half_damped(model: Model) -> Model:
 
 
 def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarray:
-    """Return the largest |x| (m) under each voltage, with full and with half the damping; infinite if it diverges.
+    """Return the largest |x| (m) under each voltage, at full and at half the damping; infinite if it diverges.
 
     Args:
         model: any.
@@ -48,7 +48,7 @@ def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarr
 
 
 def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: float, slew: float) -> np.ndarray | None:
-    """Return the voltage scaled down until both strokes and the slew meet the limits; None if impossible.
+    """Scale a voltage down until slew and stroke, also at half the damping, meet the limits; None if impossible.
 
     Args:
         model: any.
@@ -69,7 +69,7 @@ def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: flo
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Return the largest possible ratio of each input's stroke to all before it (damping 0.01), shape (voltages,).
+    """Return by what factor each input's stroke may exceed those before it, without a model, shape (voltages,).
 
     Args:
         voltages: V, in the order of playing.
@@ -89,7 +89,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
 
 
 def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Return the frequencies (Hz) of the largest lines of a force."""
+    """Return the frequencies (Hz) of the strongest Fourier lines of an input (V^2), near the band."""
     size = np.abs(np.fft.rfft(force - force.mean()))
     hz = np.fft.rfftfreq(len(force), dt)
     peaks = find_peaks(size)[0]
@@ -98,7 +98,7 @@ def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarra
 
 
 def _sampled(hz: float, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return numerator and denominator of a sampled resonance of unit static gain and damping 0.01, linear hold."""
+    """Return numerator and denominator of a sampled resonance at `hz` (unit static gain, damping 0.01, linear hold)."""
     w = 2 * np.pi * hz
     sampled = cont2discrete(([w * w], [1, 2 * LEAST_DAMPING * w, w * w]), dt, method="foh")
     b, a = (np.ravel(np.asarray(part)) for part in sampled[:2])  # pyright: ignore[reportIndexIssue]

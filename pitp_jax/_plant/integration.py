@@ -1,4 +1,4 @@
-"""Integrate a virtual actuator between the samples of its voltage.
+"""Integrate a virtual actuator's equations between the samples of its voltage.
 
     y' = f(y, u(t)),    u(t_i + s) = u_i + s (u_{i+1} - u_i) / dt  (foh)    or    u_i  (zoh),    0 <= s < dt
 
@@ -20,17 +20,17 @@ _PHASE_STEP = 0.03  # largest angle of the natural frequency per Runge-Kutta ste
 
 
 def substeps(plant: Plant, dt: float) -> int:
-    """Return the Runge-Kutta steps per sample of `dt` s, at most 0.03 rad of the natural frequency each."""
+    """Return the number of Runge-Kutta steps per sample of `dt` s: at most 0.03 rad of the natural frequency each."""
     return max(1, math.ceil(2.0 * math.pi * plant.resonance_hz * dt / _PHASE_STEP))
 
 
 def rest(plant):
-    """Return the state at rest, shape (2 + branches,)."""
+    """Return the scaled state of a virtual actuator at rest, shape (2 + branches,)."""
     return jnp.zeros(2 + len(plant.branches))
 
 
 def advance(plant: Plant, state, u0, u1, *, dt, count: int, hold: str):
-    """Advance one sample by `count` classical Runge-Kutta steps.
+    """Integrate a virtual actuator over one sample by `count` classical Runge-Kutta steps.
 
     Args:
         plant: the virtual actuator.
@@ -61,7 +61,7 @@ def advance(plant: Plant, state, u0, u1, *, dt, count: int, hold: str):
 
 @partial(jax.jit, static_argnums=(0, 3, 4))
 def fixed(plant, voltage, dt, count, hold):
-    """Integrate with fixed steps: voltage (R, T) in V to displacement (R, T) in m."""
+    """Simulate with a fixed time step: voltage (R, T) in V to displacement (R, T) in m."""
 
     def one(row):
         def body(state, pair):
@@ -76,7 +76,7 @@ def fixed(plant, voltage, dt, count, hold):
 
 @partial(jax.jit, static_argnums=(0, 3))
 def adaptive(plant, voltage, dt, hold):
-    """Integrate with adaptive steps: voltage (T,) in V to displacement (T,) in m."""
+    """Simulate with an adaptive time step: voltage (T,) in V to displacement (T,) in m."""
     last = len(voltage) - 2
     grid = dt * jnp.arange(len(voltage))
 

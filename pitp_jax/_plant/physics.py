@@ -1,4 +1,4 @@
-"""The mechanics of a virtual actuator: hyperelastic membrane, relaxation spectrum, mass and Maxwell stress.
+"""Define the mechanics of a virtual actuator: hyperelastic membrane, relaxation, mass and Maxwell stress.
 
 With the distance z = z_eq + x from the undeformed shape, and the squared stretch q(z) beyond the prestretch,
 
@@ -29,13 +29,13 @@ GRAVITY = 9.81  # m/s^2
 
 
 def _root(function, low: float, high: float) -> float:
-    """Return the only root of a function of z (m) between two ends of opposite sign."""
+    """Find the root of a function of z (m) between two ends at which it has opposite signs."""
     return float(cast(float, brentq(function, low, high, xtol=1e-15)))
 
 
 @dataclass(frozen=True)
 class ConeGeometry:
-    """A membrane of radial width `width` (m) pulled out of its plane by z: q = 1 + (z/w)^2.
+    """A membrane of radial width w (m) pulled out of its plane by z: squared stretch q = 1 + (z/w)^2.
 
     Attributes:
         width: distance w from the central disk to the frame in m.
@@ -50,7 +50,7 @@ class ConeGeometry:
 
 @dataclass(frozen=True)
 class RollGeometry:
-    """A roll of active length `width` (m) elongated by z: q = (1 + z/w)^2.
+    """A roll of active length w (m) elongated by z: squared stretch q = (1 + z/w)^2.
 
     Attributes:
         width: active length w in m.
@@ -65,7 +65,7 @@ class RollGeometry:
 
 @dataclass(frozen=True)
 class Plant:
-    """A virtual actuator: the constants of the equations of motion above, and of its sensor.
+    """A virtual actuator: the constants of its equations of motion and of its sensor.
 
     Attributes:
         name: its name in `plant`.
@@ -103,24 +103,24 @@ class Plant:
 
     @cached_property
     def rest_position(self) -> float:
-        """Return z_eq, the relaxed equilibrium under gravity at u = 0, m."""
+        """Return the rest position z_eq (m) from the undeformed shape: relaxed, under gravity, at 0 V."""
         return _root(lambda z: self.relaxed_force(z, 0.0), 0.0, self.last_position)
 
     @cached_property
     def last_position(self) -> float:
-        """Return the position (m) at which the Gent spring locks (minus 1 %), or four widths."""
+        """Return the largest usable position (m): where the Gent spring is at 99 % of its limit, or four widths."""
         # I grows with z beyond the prestretch, so z may move below the first point over the limit
         z = np.linspace(0.0, 4.0 * self.geometry.width, 4001)
         return float(z[np.searchsorted(self._invariant(self.geometry.stretch(z)[0]), 0.99 * self.limit) - 1])
 
     def _invariant(self, q):
-        """Compute I = I_1 - 3 of the membrane at the squared stretch q."""
+        """Compute the strain invariant I_1 - 3 of the membrane at the squared stretch q."""
         # stretches p sqrt(q), p and, because the elastomer keeps its volume, 1 / (p^2 sqrt(q)), squared
         p2 = self.prestretch**2
         return p2 * q + p2 + 1.0 / (p2**2 * q) - 3.0
 
     def relaxed_force(self, z, u):
-        """Compute the force in N towards larger z (m), at rest and relaxed, under u (V); any kind of array."""
+        """Compute the total force (N) towards larger z (m) at standstill, after all creep, under u (V); any shape."""
         p2 = self.prestretch**2
         q, slope = self.geometry.stretch(z)
         gent = self.limit / (self.limit - self._invariant(q))  # stiffens without bound as the chains lock
@@ -129,11 +129,11 @@ class Plant:
         return self.mass * GRAVITY - spring + 0.5 * self.capacitance * u**2 * slope
 
     def stretch_ratio(self, x):
-        """Compute L: the squared stretch at the displacement x (m) over that at rest."""
+        """Compute the squared stretch at the displacement x (m), relative to that at rest."""
         return self.geometry.stretch(self.rest_position + x)[0] / self.geometry.stretch(self.rest_position)[0]
 
     def static(self, u):
-        """Solve for the relaxed displacement at a constant voltage, after all creep.
+        """Solve for the displacement (m) at a constant voltage after all creep.
 
         Args:
             u: voltage in V, any shape.
@@ -148,7 +148,7 @@ class Plant:
         return np.asarray(roots).reshape(u.shape)[()]
 
     def derivative(self, state, u):
-        """Compute the rate of the state (x / scale, x' / (scale/s), b_i - 1), shape (2 + branches,), under u (V)."""
+        """Compute the derivative of the state (x / scale, x' / (scale/s), b_i - 1) under u (V), (2 + branches,)."""
         # b_i - 1, so that the state at rest is zero and small creep keeps its digits
         x, v = state[0] * self.scale, state[1] * self.scale
         strength, tau = jnp.asarray(self.branches, dtype=state.dtype).T
@@ -162,7 +162,7 @@ class Plant:
         return jnp.concatenate([mechanics, (ratio - b**2 / ratio) / (2.0 * tau)])
 
     def linearised(self, u: float = 0.0) -> np.ndarray:
-        """Compute the Jacobian of `derivative` in the relaxed equilibrium under u (V), shape (2 + branches,) twice."""
+        """Compute the Jacobian of `derivative` at the equilibrium under u (V), shape (2 + branches, 2 + branches)."""
         x = float(self.static(u))
         grown = self.stretch_ratio(x)  # relaxed: every branch has followed, b_i = L
         with jax.enable_x64(True):
@@ -171,5 +171,5 @@ class Plant:
 
     @cached_property
     def resonance_hz(self) -> float:
-        """Return the natural frequency of the only mechanical mode at u = 0 for small motions, Hz."""
+        """Return the resonance frequency (Hz) at 0 V for small motions."""
         return float(abs(max(np.linalg.eigvals(self.linearised()), key=np.imag)) / (2.0 * np.pi))

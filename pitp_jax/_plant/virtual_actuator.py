@@ -1,4 +1,4 @@
-"""Virtual actuators modelled on the paper's four (section III), for demo, tests and experiments.
+"""Simulate virtual actuators modelled on the paper's four (section III), for demo, tests and experiments.
 
     u(t) between samples ──▶ equations of `physics` ──▶ x(t_i) ──▶ + noise, read in 16 bit
 
@@ -66,7 +66,7 @@ _HOLDS = ("foh", "zoh")
 
 
 def plant(name: str) -> Plant:
-    """Return the virtual actuator of that name.
+    """Return the parameters of a virtual actuator by its name.
 
     Args:
         name: `cone100`, `cone122`, `cone150` (acrylic, under 100, 122, 150 g) or `roll` (silicone).
@@ -87,7 +87,7 @@ def plant(name: str) -> Plant:
 
 
 def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "fixed") -> np.ndarray:
-    """Simulate the noise-free displacement under a sampled voltage, from rest with all branches relaxed.
+    """Simulate the displacement (m) of a virtual actuator under a sampled voltage, from rest and without noise.
 
     Args:
         plant: the virtual actuator.
@@ -131,7 +131,7 @@ def simulate(plant: Plant, time, voltage, *, hold: str = "foh", method: str = "f
 def record(
     plant: Plant, excitation_name: str, time, voltage, *, seed: int, noise: bool = True, hold: str = "foh"
 ) -> Record:
-    """Return one noisy record of a virtual actuator.
+    """Simulate a recording of a virtual actuator with sensor noise.
 
     Args:
         plant: the virtual actuator.
@@ -164,7 +164,7 @@ def record(
 
 
 def stepper(plant: Plant, *, hold: str = "foh"):
-    """Build a step of the plant by one sample, for experiments that close a loop around it.
+    """Build a function that simulates a virtual actuator by one sample, for experiments that close a loop around it.
 
     Args:
         plant: the virtual actuator; a sample lasts 1 / `plant.rate_hz`.
@@ -189,7 +189,7 @@ def stepper(plant: Plant, *, hold: str = "foh"):
 
 
 def _interval(time, voltage) -> float:
-    """Return the sampling interval (s); refuse times that cannot be one record."""
+    """Return the sampling interval (s); refuse sample times that are not uniform or do not fit the voltage."""
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
         raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
     dt = float((time[-1] - time[0]) / (len(time) - 1))
@@ -200,6 +200,6 @@ def _interval(time, voltage) -> float:
 
 
 def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
-    """Refuse an unknown option."""
+    """Refuse the value of an option that is not one of the known ones."""
     if value not in known:
         raise ValueError(f"unknown {what} {value!r}; use one of {', '.join(known)}")

@@ -1,4 +1,4 @@
-"""Recordings: reads files into checked `Record`s in V, m and s (or V and V), as NumPy float64.
+"""Read files into checked recordings in V, m and s (or V and V), as NumPy float64.
 
 Verbs: `read` (files and folders to records), `read_target` (a wanted motion), `read_voltage` (an input alone). A record
 is one excitation of one actuator, sampled uniformly; missing output samples are nan. `preprocess` filters and

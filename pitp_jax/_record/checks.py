@@ -1,4 +1,4 @@
-"""Checks that a record must pass before anything is computed from it.
+"""Check that samples are usable before anything is computed from them.
 
 |t_i - (a + b i)| <= 0.01 b for some straight line a + b i,    T >= 64,
 u_i finite for all i,    y_i finite or nan (missing) and finite for at least one i
@@ -33,7 +33,7 @@ def check_samples(
     uniform: bool = True,
     least: int = MIN_SAMPLES,
 ) -> None:
-    """Refuse samples that no later step could use.
+    """Refuse samples from which nothing can be computed.
 
     Args:
         time: sample times in s, shape (T,).
@@ -86,7 +86,7 @@ def check_wanted(
     columns: tuple[str, str] = ("time", "displacement"),
     place: Callable[[int], str] = _sample,
 ) -> None:
-    """Refuse a trajectory with gaps; arguments as for `check_samples`, for any number of samples.
+    """Refuse a target with gaps; arguments as for `check_samples`, for any number of samples.
 
     Raises:
         BadInput: shapes differ, fewer than two samples, non-uniform time, a wanted sample missing or infinite.
@@ -127,7 +127,7 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
 
 
 def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
-    """Refuse times that are missing or that no clock could show."""
+    """Refuse missing times, and times beyond the range of any clock."""
     missing = np.isnan(time)
     if missing.any():
         raise BadInput(
@@ -163,7 +163,7 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
 
 
 def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> NoReturn:
-    """Refuse times that are not on a uniform grid; arguments as for `check_time`.
+    """Refuse times off a uniform grid, with the first sample that is off; arguments as for `check_time`.
 
     Raises:
         BadInput: with the first sample that decreases, repeats or jumps.
@@ -189,7 +189,9 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
 
 
 def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
-    """Return a, b of the line a + b k nearest to the times; sums are faster here than BLAS with its threads.
+    """Fit the line a + b k to times by least squares; return a and b.
+
+    Sums are faster here than BLAS with its threads.
 
     Args:
         index: k, shape (T,).

@@ -1,4 +1,4 @@
-"""Numerical differentiation of a series of samples.
+"""Differentiate a series of samples numerically.
 
     central   (d x)_t = (x_{t+1} - x_{t-1}) / (2 dt), one-sided at both ends   (paper, eq. 8)
     stencil   (d x)_t = sum_{k=1..4} c_k (x_{t+k} - x_{t-k}) / dt   (8th order)
@@ -21,7 +21,7 @@ MIN_LENGTH = 9
 
 
 def central(values: np.ndarray, dt: float) -> np.ndarray:
-    """Return the first derivative exactly by eq. 8.
+    """Differentiate samples by central differences, exactly as the paper does (eq. 8).
 
     Args:
         values: shape (T,), T >= 2.
@@ -38,7 +38,7 @@ def central(values: np.ndarray, dt: float) -> np.ndarray:
 
 
 def stencil(values: np.ndarray, dt: float) -> np.ndarray:
-    """Return the first derivative by the 8th-order central difference.
+    """Differentiate samples by central differences of 8th order.
 
     Args:
         values: shape (T,), T >= 9.

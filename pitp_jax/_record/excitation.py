@@ -1,4 +1,4 @@
-"""Excitations and the paper's protocol.
+"""Build the excitations of the paper's protocol for its two actuators, cone and roll.
 
     cone, 1 kHz   sweep 0.01-20 Hz, 200 s, A1 = A2 = 3 kV
                   30 sines of 10 s: 1..10 Hz x A3 in {1, 2, 3} kV, A4 = 3 kV
@@ -29,7 +29,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Excitation:
-    """A voltage over time that can be played.
+    """A voltage over time to be played on a rig.
 
     Attributes:
         name: for its record.
@@ -43,13 +43,13 @@ class Excitation:
 
     @property
     def dt(self) -> float:
-        """Return the sampling interval, s."""
+        """Return the sampling interval of the voltage, s."""
         return float(self.time[-1] / (len(self.time) - 1))
 
 
 @dataclass(frozen=True)
 class _Protocol:
-    """The values of section III-C for one actuator, in V, Hz and s."""
+    """The protocol of the paper's section III-C for one actuator, in V, Hz and s."""
 
     rate: float
     f_start: float
@@ -110,7 +110,7 @@ SETS = ("sweep", "train", "test")
 
 
 def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: float = 0.0) -> tuple[Excitation, ...]:
-    """Return the excitations of the paper's protocol.
+    """Return the input voltages of the paper's protocol for one actuator: sweep, training sines or test signals.
 
     Args:
         actuator: `cone` or `roll`.

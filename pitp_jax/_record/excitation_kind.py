@@ -1,4 +1,4 @@
-"""Classify the input of a record, and select records when all would be too many.
+"""Classify the input of a record (sweep, sine, steps, broadband), and select a few records of every kind.
 
     j-th of m records of a kind:  rank of the loudest line near (j + 1/2) / m,  rank of the strength near frac(0.618 j)
 
@@ -23,7 +23,7 @@ _GOLDEN = (5**0.5 - 1) / 2
 
 
 def is_sweep(record: Record) -> bool:
-    """Return whether the time between turning points varies smoothly, by a factor of at least 1.4.
+    """Return whether an input is a sweep: the time between turning points varies smoothly, by at least a factor of 1.4.
 
     The ranks of these times are smooth, up, down or both ways: their mean squared successive difference lies 3.7
     standard deviations below that of a random order. Rests before, after or between do not matter.
@@ -46,7 +46,7 @@ def _is_swept(turns: np.ndarray) -> bool:
 
 
 def _turns(u: np.ndarray) -> np.ndarray:
-    """Return the samples at which an input turns back by at least a twentieth of its range.
+    """Return the sample indices at which an input turns back by at least a twentieth of its range.
 
     The smallest moves between neighbouring extremes are dropped, a pair of extremes at a time, until none is left.
     """
@@ -67,7 +67,7 @@ def _turns(u: np.ndarray) -> np.ndarray:
 
 
 def kind(record: Record) -> str:
-    """Return "sweep", "sine" (one line dominates), "steps" (constant between its moves) or "broadband".
+    """Return the kind of input: "sweep", "sine" (one line dominates), "steps" (constant between moves) or "broadband".
 
     Rests before, after and between are not counted.
     """
@@ -85,7 +85,7 @@ def kind(record: Record) -> str:
 
 
 def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
-    """Return whether an input is constant, or at one of two levels, for most of the time between turning points."""
+    """Return whether an input stays at a level for most of the time between two turning points."""
     apart = max(len(u) // _PARTS, 1)  # from one sample to the next, a slow sine is constant too
     still = np.append(np.abs(u[apart:] - u[:-apart]) < 1e-3 * np.ptp(u), np.zeros(apart, bool))
     ends = turns if len(turns) > 2 else np.array([0, *turns, len(u) - 1])
@@ -101,7 +101,7 @@ def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
 
 
 def loudest(record: Record) -> float:
-    """Return the frequency of the strongest line of the input, Hz."""
+    """Return the frequency (Hz) of the strongest Fourier line of the input."""
     return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
 
 
@@ -115,7 +115,7 @@ def _lines(u: np.ndarray) -> np.ndarray:
 
 
 def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
-    """Return the indices of `count` records (or all), each kind by its fraction and at least once."""
+    """Return indices of `count` records; every kind of input is chosen at least once and in its proportion."""
     if count >= len(records):
         return list(range(len(records)))
     line, strength = _ranks([loudest(r) for r in records]), _ranks([np.sqrt(np.mean(r.voltage**2)) for r in records])
@@ -132,7 +132,7 @@ def spread_over_kinds(records: Sequence[Record], count: int) -> list[int]:
 
 
 def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int) -> list[int]:
-    """Return `count` of these places, evenly distributed in frequency rank and mixed in strength."""
+    """Return `count` of these record indices, evenly distributed in frequency rank and mixed in strength."""
     unused = list(places)
     for j in range(count):
         wanted = (j + 0.5) / count, (j * _GOLDEN) % 1.0
@@ -142,7 +142,7 @@ def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int
 
 
 def _ranks(values: Sequence[float]) -> np.ndarray:
-    """Return ranks in 0 ... 1, the middles of equal intervals; values equal to 1 % share a rank."""
+    """Rank values from 0 to 1 at the middles of equal intervals; values within 1 % share a rank."""
     order, rank = np.argsort(values), np.zeros(len(values))
     for before, here in zip(order[:-1], order[1:], strict=True):
         rank[here] = rank[before] + (values[here] > values[before] + 0.01 * abs(values[before]))

@@ -1,4 +1,4 @@
-"""Tables of the frequencies and amplitudes that recordings excite, and the part of another signal outside them.
+"""Tabulate the frequencies and amplitudes that recordings excite, and measure the part of another signal outside them.
 
     a(f)    = largest over windows of  sqrt(2 mean square of all parts at f or faster)     32 periods of f long
     part(f) = largest over recordings of the energy fraction in the quarter octave of f
@@ -28,7 +28,7 @@ _TAIL = 0.05  # of the energy outside, which its range of frequencies leaves out
 
 
 class Beyond(NamedTuple):
-    """The part of a signal outside the excited frequencies and amplitudes.
+    """The part of a signal that lies outside the frequencies and amplitudes that the recordings excited.
 
     Attributes:
         fraction: of the signal's energy about its mean.
@@ -78,7 +78,7 @@ def _window(size: int, tapered: float) -> np.ndarray:
 
 
 def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
-    """Yield bands by octaves; all bands slower than the signal's length allows use one window and come first."""
+    """Yield the frequency bands of a signal by octaves; the first item also holds all slower bands."""
     signal = np.asarray(signal, np.float64) - np.mean(signal)
     slowest = int(np.floor(np.log2(PERIODS / (len(signal) * dt))))
     for octave in range(slowest, int(np.ceil(np.log2(0.5 / dt)))):
@@ -104,7 +104,7 @@ def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
 
 
 def tabulate(signals: Sequence[np.ndarray], dt: float) -> Table:
-    """Return the largest amplitude and energy fraction of signals (one sampling interval) per quarter octave.
+    """Return for every quarter octave the largest amplitude and energy fraction that the signals reach.
 
     Returns:
         a row for every quarter octave: the middle of its energy (Hz), the amplitude reached at it or above (base
@@ -126,41 +126,41 @@ def tabulate(signals: Sequence[np.ndarray], dt: float) -> Table:
 
 
 class Cells:
-    """A table of excited cells: frequency bands with the amplitudes reached.
+    """A table of excited frequency bands, with the amplitude that the recordings reach in each.
 
     Attributes:
         hz, reached, part: columns of the table, shape (bands,).
     """
 
     def __init__(self, table: Table, resonance_hz: float):
-        """Store a table's columns; bands below 0.35 of the model's resonance count as one."""
+        """Store the columns of a table; bands below 0.35 of the model's resonance count as one."""
         self.hz, self.reached, self.part = np.array(table).T
         self._numbers, self._slow = _number(self.hz), int(_number(max(_SLOW * resonance_hz, 1e-12)))
 
     def amplitude(self, number: int) -> float:
-        """Return the amplitude reached at a band or above it (base unit)."""
+        """Return the largest amplitude (base unit) reached in this band or in a faster one."""
         return float(self.reached[self._numbers >= number].max(initial=0.0))
 
     def excite(self, number: int, amplitude):
-        """Return whether this band was excited at these amplitudes, in the shape of `amplitude`."""
+        """Return whether the recordings excite this band at these amplitudes, in the shape of `amplitude`."""
         near = np.abs(self._numbers - max(number, self._slow)) <= PER_OCTAVE
         return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= _PART)
 
     def beside(self, low: int, high: int, amplitude: float) -> tuple[float | None, float | None]:
-        """Return the nearest trained frequencies (Hz) below and above these bands at an amplitude, or None."""
+        """Return the nearest excited frequencies (Hz) below and above some bands at this amplitude (None: none)."""
         well = (TOLERANCE * self.reached >= amplitude) & (self.part >= _NAMED)
         down, up = self.hz[well & (self._numbers < low)], self.hz[well & (self._numbers > high)]
         return next(map(float, down[::-1]), None), next(map(float, up), None)
 
     def full(self) -> tuple[float, float, float]:
-        """Return the largest amplitude (base unit), and the lowest and highest frequency (Hz) trained with it."""
+        """Return the largest amplitude (base unit), and the lowest and highest frequency (Hz) excited with it."""
         well = (TOLERANCE * self.reached >= self.reached.max()) & (self.part >= _NAMED)
         hz = self.hz[well] if well.any() else self.hz
         return float(self.reached.max()), float(hz[0]), float(hz[-1])
 
 
 def beyond(table: Table, signal: np.ndarray, dt: float, resonance_hz: float) -> Beyond:
-    """Return the part of a signal outside the excited frequencies and amplitudes.
+    """Return the part of a signal that lies outside the frequencies and amplitudes of a table.
 
     Args:
         table: of `tabulate`; an empty one gives a fraction of 0.
@@ -196,7 +196,7 @@ def beyond(table: Table, signal: np.ndarray, dt: float, resonance_hz: float) -> 
 def unexcited(
     table: Table, band: tuple[float, float], amplitude: Callable[[float], float], resonance_hz: float
 ) -> tuple[float, float] | None:
-    """Return the lowest range of a band (Hz) that was not excited; None if all of it was.
+    """Return the lowest frequency range (Hz) of a band that the recordings did not excite; None if they excited all.
 
     `amplitude`: of the input that a rig can play at a frequency (base unit).
     """
@@ -212,7 +212,7 @@ def unexcited(
 
 
 def distinct(signals: Sequence[np.ndarray], dt: float) -> tuple[tuple[int, ...], ...]:
-    """Group signals by excitation: those whose energy lies in the same bands at about the same amplitude.
+    """Group signals by excitation: energy in the same frequency bands at about the same amplitude.
 
     Two thirds of the energy must be in common bands, and the amplitudes must not differ by more than a fifth.
 

@@ -36,7 +36,7 @@ _LATE = 0.01  # of the rows: stamps that are later than this do not determine th
 
 @dataclass(frozen=True)
 class Piece:
-    """One uniform part of a record.
+    """A stretch of a record on a uniform time grid.
 
     Attributes:
         time, voltage, displacement: shapes (T,).
@@ -51,7 +51,7 @@ class Piece:
 
 @dataclass(frozen=True)
 class Gridded:
-    """A record on its grid.
+    """A record on a uniform time grid, and how it was put there.
 
     Attributes:
         pieces: in order; one piece if no gap is too long.
@@ -76,7 +76,7 @@ class Gridded:
 
 @dataclass(frozen=True)
 class _Line:
-    """Places of the rows on a grid, its start and step (s), and the distance of every time from it, in samples."""
+    """Samples on a uniform grid: indices, start and step of the grid (s), distance of every time from it in samples."""
 
     index: np.ndarray
     start: float
@@ -89,7 +89,7 @@ class _Line:
 
 
 def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], rate: float | None = None) -> Gridded:
-    """Put rows on a uniform grid.
+    """Put the rows of a recording on a uniform time grid.
 
     Args:
         rows: with a time that does not decrease.
@@ -128,7 +128,7 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
 
 
 def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str]) -> Rows:
-    """Return the rows with increasing stamps; a few equal ones are averaged.
+    """Return rows with strictly increasing times; rows of equal time are averaged.
 
     Raises:
         BadInput: most stamps repeat, or the signals contradict them.
@@ -148,7 +148,7 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
 
 
 def _grid(rows: Rows) -> _Line | None:
-    """Return the places on the grid of an even clock, or None.
+    """Fit a uniform grid to the times; return the sample indices on it, or None if no grid is within half a sample.
 
     Lost samples must explain the times better than no losses, because one wrong time would shift all later ones.
     """
@@ -175,14 +175,14 @@ def _grid(rows: Rows) -> _Line | None:
 
 
 def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
-    """Return the line nearest to the times at these places."""
+    """Fit a uniform grid through times at these sample indices by least squares."""
     start, dt = line(index, time)
     off = np.abs(time - start - dt * index) / dt if dt > 0 else np.full(len(time), np.inf)
     return _Line(index, start, dt, off)
 
 
 def _packets(rows: Rows) -> _Line | None:
-    """Return the places of rows that were sampled evenly and stamped when their packet came, or None.
+    """Return indices of evenly sampled rows whose time stamps are arrival times of packets; None for any other rows.
 
     The signals decide between even rows and true stamps. If they cannot, crowded stamps count as packets.
     """
@@ -205,7 +205,7 @@ def _packets(rows: Rows) -> _Line | None:
 
 
 def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
-    """Return the rows placed on this grid."""
+    """Put rows on a fitted grid, split where too many samples in a row were lost."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
     lost, jitter = np.diff(index) - 1, float(found.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
@@ -218,7 +218,7 @@ def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
 
 
 def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0.0) -> tuple[list[slice], int]:
-    """Return the usable stretches between cuts, and the number of rows outside them.
+    """Return the stretches between the cuts that are long enough to use, and the number of rows outside them.
 
     Args:
         rows: of the record.
@@ -245,7 +245,7 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
 
 
 def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
-    """Return how many samples may be lost in a row: a tenth of a period of the fastest input.
+    """Return how many samples may be lost in a row before the record is split: a tenth of the fastest input's period.
 
     An input with few lost samples is analysed as a whole, because short parts of a slow input would look fast.
     """
@@ -260,7 +260,7 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
 
 
 def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
-    """Return one stretch on the grid a + b k."""
+    """Put one stretch on the grid a + b k; interpolate the input and mark lost outputs as missing."""
     start, dt = found.start, found.dt
     where = index - index[0]
     grid = start + dt * (index[0] + np.arange(where[-1] + 1))
@@ -285,7 +285,7 @@ def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
 
 
 def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Gridded:
-    """Return the rows resampled at the median step or at the rate, split at gaps in which the input is unknown."""
+    """Resample rows at their median time step or at `rate` (Hz), split at gaps in which the input is unknown."""
     time, voltage = rows.time, rows.voltage
     steps = np.diff(time)
     usual = float(np.median(steps))
@@ -307,7 +307,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
 
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
-    """Return one stretch interpolated at steps of dt, and the number of output samples masked in gaps."""
+    """Interpolate one stretch at steps of `dt` (s); return it and the number of output samples masked in gaps."""
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)

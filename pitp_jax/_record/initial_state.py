@@ -1,4 +1,4 @@
-"""Initial state of records: sensor noise, first displacement and velocity, offset of records at rest.
+"""Estimate the initial state of records: sensor noise, first displacement and velocity, sensor offset at rest.
 
     sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
     y(t) ~ a polynomial over the first samples: y(0) and y'(0) within noise
@@ -31,7 +31,7 @@ _AT_START = np.stack([(-1) ** _K, -((-1) ** _K) * _K * (_K + 1) / 2])  # P_k(-1)
 
 @dataclass(frozen=True)
 class Beginning:
-    """Initial state of one record and its sensor: measured = direction * displacement + zero.
+    """The initial state of one record, and its sensor: measured = direction * displacement + zero.
 
     Attributes:
         begins: "rest" (x = 0, uncharged), "held" (settled at u(0)) or "moving".
@@ -51,7 +51,7 @@ class Beginning:
 
 
 def noise_std(displacement: np.ndarray) -> float:
-    """Return the standard deviation of white sensor noise from the 5th difference, output unit.
+    """Return the standard deviation of white sensor noise, estimated from fifth differences, output unit.
 
     It is an upper bound if the signal is not oversampled, because the 5th difference then contains motion too
     (docs/decisions/noise_floor.md).
@@ -67,13 +67,13 @@ def noise_std(displacement: np.ndarray) -> float:
 
 
 def _rounding(displacement: np.ndarray) -> float:
-    """Return the standard deviation of rounding to a sensor's smallest step, output unit; 0 if it never steps."""
+    """Return the standard deviation of rounding to the sensor's smallest step, output unit; 0 if constant."""
     steps = np.abs(np.diff(displacement))
     return float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0) if (steps > 0).any() else 0.0
 
 
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:
-    """Return the records that move beyond their noise, and a line with the names of the others.
+    """Return the records that move beyond their noise, and a sentence that names the others.
 
     Errors are relative to the range, which is only noise for an actuator at rest. In a diagnosis one such record had an
     error floor of 14 % and hid a gap of 3 % in three other sines.
@@ -100,7 +100,7 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
 
 
 def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Fit y(0) and y'(0) by least squares over the first 8, 11, 16, 23, ... samples, with standard errors.
+    """Estimate the first displacement and velocity, with standard errors, over the first 8, 11, 16, 23, ... samples.
 
         y(s) ~ c_0 P_0(s) + ... + c_6 P_6(s),   s = -1 ... 1 over the window, P_k Legendre's polynomials
         y(-1) = sum_k<5 (-1)^k c_k,   y'(-1) = sum_k<5 (-1)^(k-1) k (k + 1) / 2 c_k;   the parts of c_5, c_6: their bias
@@ -139,7 +139,9 @@ def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
 
 
 def is_still(record: Record, omega: float) -> bool:
-    """Return whether the first sample is known and its velocity zero, within 4 standard errors and 0.01 omega * range.
+    """Return whether the first sample was measured and its velocity is zero within the error.
+
+    The tolerance is 4 standard errors plus 0.01 omega times the output's range.
 
     v / omega is the displacement that the velocity still causes in a mode of that frequency. One in 80 randomly cut
     motions is as slow, at any sampling rate.
@@ -153,7 +155,7 @@ def is_still(record: Record, omega: float) -> bool:
 
 
 def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
-    """Return whether the first velocity is zero, as in `is_still`, and the first displacement equals `offset`.
+    """Return whether a record starts at the sensor offset with zero velocity, both within their errors.
 
     Args:
         record: in base units.
@@ -166,14 +168,14 @@ def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
 
 
 def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return (y(0), y'(0)) from the window with the smallest velocity error, their errors, and the output's range."""
+    """Return the most precise estimate of (y(0), y'(0)), its standard errors, and the output's range."""
     values, errors = first_states(record)
     best = int(np.argmin(errors[:, 1]))
     return values[best], errors[best], record.span
 
 
 def beginning_of(record: Record, ahead: int, span: float) -> Record:
-    """Return the record until `ahead` samples after its input first changes: what follows does not decide its start.
+    """Return the first part of a record: until `ahead` samples after the input first changes.
 
     Args:
         record: in base units.
@@ -196,7 +198,7 @@ def _first(record: Record, samples: int) -> Record:
 
 
 def standing_drive(record: Record, span: float | None = None) -> tuple[int, float]:
-    """Return how many first samples have a constant input, and its level (V); exactly 0 if within its noise.
+    """Return how many first samples have a constant input, and that input's level (V; exactly 0 if within its noise).
 
     It is constant within 0.1 % of its range (or of `span`, V), or within six noise deviations (of a monitor), at most
     2 %.
@@ -211,7 +213,7 @@ def standing_drive(record: Record, span: float | None = None) -> tuple[int, floa
 
 
 def settled_samples(record: Record, omega: float) -> int:
-    """Return how many first samples are at rest: a constant reading under a constant input; 0 if none.
+    """Return how many first samples stand still: a constant output under a constant input; 0 if none.
 
     This uses the data alone. For at least half a period, the means over quarters of a period differ by no more than
     noise, 2 % of the range, and a third of the response to a jump from 0 V to this input (rest under a jump rings).
@@ -235,7 +237,7 @@ def settled_samples(record: Record, omega: float) -> int:
 
 
 def first_known(record: Record) -> int:
-    """Return the first sample from which a state can be estimated: 0 unless the record starts with a long gap."""
+    """Return the index of the first sample at which a state can be estimated: 0 unless a long gap comes first."""
     seen = np.concatenate([[0], np.cumsum(record.observed)])
     ahead = seen[np.minimum(np.arange(record.samples) + _WITHIN, record.samples)] - seen[:-1]
     # enough samples observed within the next ones to fit a state
@@ -244,7 +246,7 @@ def first_known(record: Record) -> int:
 
 
 def from_known(record: Record) -> Record:
-    """Return the record from its first known state on."""
+    """Return the record without a long gap at its start."""
     first = min(first_known(record), record.samples - MIN_SAMPLES)
     if first <= 0:
         return record
@@ -253,7 +255,7 @@ def from_known(record: Record) -> Record:
 
 
 def aligned(record: Record, beginning: Beginning, output) -> Record:
-    """Return the record as the model's own sensor would have measured it, without its offset and direction.
+    """Return the record as a sensor with the model's offset and direction would have measured it.
 
     `output`: the model's, with `offset` and `polarity`.
     """
@@ -263,7 +265,9 @@ def aligned(record: Record, beginning: Beginning, output) -> Record:
 
 
 def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, float]]:
-    """Group records at rest by their common offset, most common first: indices, offset and its standard error.
+    """Group records that start at rest by their sensor offset; return record indices, offset and standard error.
+
+    The most common offset comes first.
 
     A level comes from the longest initial window whose misfit is within the noise (`rest_level`). This misfit can still
     shift the level by about a standard error (measured: rms 1 to 2), so errors are increased by half. Levels within 4
@@ -289,7 +293,7 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
 
 
 def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, float]:
-    """Return the first value of a record that starts at rest, and its standard error.
+    """Estimate the sensor reading at rest from the start of a record; return it and its standard error.
 
     Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window: 12 samples, doubled while the residual
     is within the noise. A sweep's slow beginning gives thousands of samples.

@@ -1,4 +1,4 @@
-"""The longest record used for identification, thinned and stored, because only a long sweep shows slow creep.
+"""Store the longest record used for identification, thinned, because only a long sweep shows slow creep.
 
     x_k = (h * x)(k q dt),    q = floor(1 / (4 f_max dt))        h: zero-phase low-pass, f_max: of the force, 99 %
 
@@ -38,22 +38,22 @@ class LongRecord:
     displacement: np.ndarray
 
     def __post_init__(self):
-        """Refuse series of different length."""
+        """Refuse voltage and displacement of different length."""
         if self.voltage.shape != self.displacement.shape or self.voltage.ndim != 1 or self.step < 1:
             raise ValueError(f"a long record of shapes {self.voltage.shape} and {self.displacement.shape}")
 
     @property
     def seconds(self) -> float:
-        """Return the duration, s."""
+        """Return the duration of the stored record, s."""
         return len(self.voltage) * self.step * self.dt
 
     @property
     def range(self) -> float:
-        """Return largest minus smallest displacement, m (or V)."""
+        """Return the output's range: largest minus smallest displacement, m (or V)."""
         return float(np.nanmax(self.displacement) - np.nanmin(self.displacement))
 
     def record(self) -> Record:
-        """Return the record at its original rate."""
+        """Return the record resampled to its original rate."""
         voltage, kept = self.voltage.astype(float), self.displacement.astype(float)
         seen, place = np.isfinite(kept), np.arange(len(kept))
         displacement = self._between(np.interp(place, place[seen], kept[seen]))
@@ -66,7 +66,7 @@ class LongRecord:
 
 
 def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
-    """Return a record (or its first part) thinned; None if nothing happens in it.
+    """Return a record at fewer samples, for storage in a model; None if its input or output never changes.
 
     `force`: input of the equation (V^2 or V), shape (T,).
     """
@@ -92,5 +92,5 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
-    """Low-pass a signal about the line between its ends, because an offset would distort both ends."""
+    """Low-pass and thin a signal about the line between its ends; an offset would otherwise distort both ends."""
     return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")

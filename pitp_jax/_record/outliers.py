@@ -1,4 +1,4 @@
-"""Mask the faults of a sensor: spikes, off-scale values and clipping. Count the samples at which it stands still.
+"""Mask the faults of a sensor: spikes, off-scale values and clipping; count samples at which it stands still.
 
 spike      1 to 3 samples:  |y - chord between the neighbours| > 10 max(step_local, step),  then a return
 off scale  a value far outside all others, as a laser reads without a target
@@ -31,7 +31,7 @@ _FEWEST_VALUES = 32  # distinct ones; with fewer, a record is not a measured mot
 
 @dataclass(frozen=True)
 class Masked:
-    """An output without its faults.
+    """An output with its sensor faults masked, and how many samples of each fault were found.
 
     Attributes:
         displacement: nan where masked, shape (T,).
@@ -55,7 +55,7 @@ class Masked:
 
 
 def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
-    """Mask spikes, off-scale values and clipping.
+    """Mask the sensor's spikes, off-scale values and clipping in an output.
 
     Args:
         displacement: output, shape (T,); nan where missing.
@@ -92,7 +92,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
 
 
 def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
-    """Return the samples at a value at which other records of the same sensor are clipped, and that value (or nan).
+    """Return where the output stays at a limit value known from other records of the sensor, and that value (or nan).
 
     A sensor has one limit, so a limit found in one record applies to records that cannot show it alone.
 
@@ -113,14 +113,14 @@ def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.nd
 
 
 def _jumps(drive: np.ndarray) -> np.ndarray:
-    """Return the samples near a step of the input, where the output responds and is not faulty, shape (T,)."""
+    """Return the samples near a step of the input, where a fast output is a response and not a fault, shape (T,)."""
     steps = np.abs(np.diff(drive, prepend=drive[:1]))
     far = steps > max(_JUMP * float(np.median(steps)), _JUMP_OF_RANGE * float(np.ptp(drive)))
     return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
 def _spikes(y: np.ndarray, step: float) -> np.ndarray:
-    """Return runs of one to three samples far from the chord between their neighbours, all on one side."""
+    """Return where one to three samples lie far from the chord between their neighbours, on one side, shape (T,)."""
     bad = np.zeros(len(y), dtype=bool)
     for run in range(1, _LONGEST_SPIKE + 1):
         count = len(y) - run - 5
@@ -141,7 +141,10 @@ def _spikes(y: np.ndarray, step: float) -> np.ndarray:
 
 
 def _off_scale(y: np.ndarray) -> np.ndarray:
-    """Return samples at a value farther from all others than these are apart, as a laser reads without a target."""
+    """Return where the output lies farther from all other values than these from each other, shape (T,).
+
+    A laser reads such values without a target.
+    """
     bad = np.zeros(len(y), dtype=bool)
     # sorted, and both ends are examined in turn
     values = np.unique(y)
@@ -163,7 +166,7 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
 
 
 def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
-    """Return the first and one past the last sample of every run of equal values."""
+    """Return the first and one past the last sample index of every stretch of at least `least` equal values."""
     # where a run of equal values starts, and one past the last
     edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
     long = np.flatnonzero(np.diff(edges) >= least)
@@ -171,13 +174,13 @@ def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
 
 
 def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
-    """Return whether a sensor's noise is negligible beside its nonzero steps, or never changes its last digit."""
+    """Return whether the sensor's noise is negligible beside its nonzero steps or below its resolution."""
     noise = float(noise_std(y))
     return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
 
 
 def _still_runs(y: np.ndarray, drive: np.ndarray) -> list[tuple[int, int]]:
-    """Return runs of one value while the input moves, without those of the largest and the smallest value."""
+    """Return stretches of one output value while the input moves, except those at its largest or smallest value."""
     noise, ends = 6 * noise_std(drive), (y.min(), y.max())
     runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if b >= 3 and y[b] not in ends]
     # a settled machine stands still until the input jumps at the end of a run, so the input must move early in it
@@ -185,7 +188,7 @@ def _still_runs(y: np.ndarray, drive: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[int, int]]) -> np.ndarray:
-    """Return the runs that are a sensor dropout or stiction, shape (T,).
+    """Return where the output stands still because of a sensor dropout or stiction, shape (T,).
 
     Noise would end a long run. A sensor without noise repeats values at a turning point: there, a run counts if it ends
     with a jump, or if the input sweeps half of its range meanwhile.
@@ -201,7 +204,7 @@ def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[in
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
-    """Return runs of the extreme value under a moving input, from a sensor whose noise would have ended them."""
+    """Return where the output is clipped: at its extreme value for longer than noise explains while the input moves."""
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
     runs = [(b, e) for b, e in _runs(y, _SHORTEST_CLIP // 2) if y[b] in (low, high)]
     runs = [(b, e) for b, e in runs if np.ptp(voltage[b:e]) > _MOVES * swing]
@@ -211,7 +214,7 @@ def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
 
 
 def _inside(runs: list[tuple[int, int]], count: int) -> np.ndarray:
-    """Return True at the samples of these runs, shape (count,)."""
+    """Return a mask that is True within these stretches, shape (count,)."""
     inside = np.zeros(count, dtype=bool)
     for begin, end in runs:
         inside[begin:end] = True
@@ -219,7 +222,7 @@ def _inside(runs: list[tuple[int, int]], count: int) -> np.ndarray:
 
 
 def _longest_by_chance(y: np.ndarray, apart: np.ndarray) -> float:
-    """Return the longest run of equal values that noise explains, in samples; infinite for a sensor without noise.
+    """Return the longest stretch (samples) of equal values that chance explains; infinite for a sensor without noise.
 
     p is the probability that neighbours are equal: observed outside the runs `apart`, and at least q / (2 sqrt(pi) s)
     for white noise s on a sensor of resolution q that stands still. A run of n has the probability p^(n - 1) and is

@@ -1,4 +1,4 @@
-"""Refuse impossible values of a recording, and ask about improbable ones.
+"""Refuse impossible values of a recording, and ask the user about improbable ones.
 
 100 kV, 1 km and more                        refused: a unit is wrong
 range of x > 1 m, 90 % of x equal            reported
@@ -19,7 +19,7 @@ _MONITOR = 10.0  # V: the range of a DAQ
 
 
 def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, source: str, columns, place) -> None:
-    """Refuse values that no rig has, whatever the unit.
+    """Refuse inputs and outputs too large for any rig: 100 kV, 1 km.
 
     Args:
         voltage: in its base unit, shape (T,).
@@ -47,7 +47,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
 
 
 def questions(displacement: np.ndarray, unit: str) -> list[str]:
-    """Return questions about an output that is improbable but possible.
+    """Return questions to the user about an output that is improbable but possible.
 
     Args:
         displacement: in m or V, shape (T,); nan where missing.
@@ -65,7 +65,7 @@ def questions(displacement: np.ndarray, unit: str) -> list[str]:
 
 
 def monitor_warning(records: Sequence[Record]) -> str | None:
-    """Return a question if the input never leaves a DAQ's range while the force is the square of the voltage."""
+    """Return a question if the input, whose square drives the motion, stays within a monitor's 10 V; otherwise None."""
     highest = max(float(np.abs(record.voltage).max()) for record in records)
     if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None

@@ -1,4 +1,4 @@
-"""Turn a record into motion states by eqs. 8 and 9, as interpreted in docs/readings.md.
+"""Filter and differentiate a record by eqs. 8 and 9 of the paper, as interpreted in docs/readings.md.
 
     f_max = frequency below which 99 % of the force's energy about its mean lies (pooled over the records)
     f_c   = min(2 f_max, 0.4 f_s)
@@ -30,7 +30,7 @@ SETTLING = 12.0
 
 @dataclass(frozen=True)
 class StateRecord:
-    """A record with its motion states, ready for the loss.
+    """A record with its motion states: displacement and time derivatives, ready for the training loss.
 
     Attributes:
         name: of the record.
@@ -53,7 +53,7 @@ class StateRecord:
 
 
 def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FRACTION) -> float:
-    """Return the frequency (Hz) below which a fraction of the force's energy about its mean lies, pooled.
+    """Return the frequency (Hz) below which a fraction of the input's energy lies, pooled over records, without means.
 
     Args:
         forces: one array per record, shapes (T_r,); each is taken about its own mean.
@@ -84,7 +84,7 @@ def force_band(forces: Sequence[np.ndarray], dt: float, share: float = ENERGY_FR
 
 
 def cutoff(f_max: float, dt: float) -> float:
-    """Return the filter cut-off min(2 f_max, 0.4 f_s), Hz.
+    """Return the cut-off frequency of the filter, min(2 f_max, 0.4 f_s), Hz.
 
     Args:
         f_max: from `force_band`, in Hz.
@@ -94,7 +94,7 @@ def cutoff(f_max: float, dt: float) -> float:
 
 
 def edge_samples(cutoff_hz: float, dt: float, order: int) -> int:
-    """Return how many samples at each end the filter's settling (and the shorter stencils) affect.
+    """Return how many samples at each end of a stretch the filter and the differences distort.
 
     Args:
         cutoff_hz: filter cut-off in Hz.
@@ -112,7 +112,7 @@ def preprocess(
     displacement: np.ndarray | None = None,
     difference: str = "stencil",
 ) -> StateRecord:
-    """Filter a record and differentiate its output.
+    """Filter a record and differentiate its output `order` times.
 
     Args:
         record: the measured record.
@@ -157,12 +157,12 @@ def preprocess(
 
 
 def _filtered(sos: np.ndarray, values: np.ndarray, edge: int) -> np.ndarray:
-    """Return values after the zero-phase filter, extended oddly at the ends by its settling time."""
+    """Filter values without phase shift; both ends are extended by an odd reflection."""
     return scipy.signal.sosfiltfilt(sos, values, padlen=min(2 * edge, len(values) - 1))
 
 
 def stretches(observed: np.ndarray) -> list[tuple[int, int]]:
-    """Return contiguous runs of True as (start, stop), stop excluded.
+    """Return the contiguous stretches of True as (start, stop) indices, stop excluded.
 
     Args:
         observed: shape (T,).

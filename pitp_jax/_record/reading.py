@@ -42,7 +42,7 @@ _QUANTITIES = ("time", "voltage", "displacement")
 
 @dataclass(frozen=True, eq=False)
 class Target(Timed):
-    """A wanted trajectory, for the inverse model.
+    """A wanted motion over time, input of the inverse model.
 
     Attributes:
         time: sample times in s, shape (T,), uniform to 1 % of a sample.
@@ -60,7 +60,7 @@ class Target(Timed):
     source: str = ""
 
     def __post_init__(self):
-        """Refuse what cannot be inverted (`read_target` gives the column and the line as well)."""
+        """Refuse a target with gaps or a non-uniform time (`read_target` names the column and the line as well)."""
         refuse_traced("Target", "inverse with an array", self.time, self.displacement)
         for field in ("time", "displacement"):
             object.__setattr__(self, field, own_column(getattr(self, field), f"{self.source or 'target'}: {field}"))
@@ -72,7 +72,7 @@ class Target(Timed):
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
-    """Read any mix of record files and folders of them.
+    """Read recordings from any mix of files and folders.
 
     Folders do not recurse; their files are taken in sorted order, files that are not records are ignored. A record with
     a gap too long to fill is split there (`name.1`, `name.2`). These options take precedence over `pitp.toml` in the
@@ -110,7 +110,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
 def read_each(
     paths: Sequence[str | os.PathLike], reading: Mapping[str, Any]
 ) -> tuple[tuple[Record, ...], dict[str, str]]:
-    """Read every file that can be read, of any rates and kinds; return the refusals of the others by record name.
+    """Read every readable file, whatever its rate and kind; return the records, and the refusals by record name.
 
     Args:
         paths: files and folders.
@@ -126,7 +126,7 @@ def read_each(
 
 
 def options_of(said: Mapping[str, Any]) -> ReadOptions:
-    """Return keyword arguments as options.
+    """Convert keyword arguments of `read` to reading options.
 
     Raises:
         BadInput: an unknown name or value.
@@ -173,13 +173,13 @@ def attempted(
 
 
 def _without_joined(files: list[Path], options: ReadOptions) -> list[Path]:
-    """Return the files without those joined to others, unless none would remain."""
+    """Return the files without those that another file joins as its columns, unless none would remain."""
     joined = {os.path.realpath(other) for file in files for other in options.join or joined_in(file)}
     return [file for file in files if os.path.realpath(file) not in joined] or files
 
 
 def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
-    """Return records, refusals by name, and the number of files; uneven clocks are resampled at one rate."""
+    """Read files; return records, refusals by name, and number of files. Uneven clocks are resampled at one rate."""
     sources: list[tuple[Path, str, Loaded]] = []
 
     def make(path: Path, name: str, one: Loaded) -> list[list[Record]]:
@@ -198,7 +198,7 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
 
 
 def _limited(records: list[Record]) -> list[Record]:
-    """Return the records, also clipped where only other records of the set prove the sensor's limit."""
+    """Mask the output also where only other records of the same sensor show the limit at which it clips."""
     # only where a record's own runs were certain
     limits = {r.recognised["limit"] for r in records if r.recognised.get("clipped")}
     return [_clipped_at(record, limits) if limits else record for record in records]
@@ -220,7 +220,7 @@ def _clipped_at(record: Record, limits: set[float]) -> Record:
 
 
 def _unique(records: list[Record]) -> list[Record]:
-    """Return the records with unique names (a.csv split at its gap may collide with a.1.csv)."""
+    """Make the record names unique (a.csv split at its gap may collide with a.1.csv)."""
     taken: set[str] = set()
     kept = []
     for record in records:
@@ -234,7 +234,7 @@ def _unique(records: list[Record]) -> list[Record]:
 
 
 def read_target(path: str | os.PathLike, output_column: str | None = None, **said: Any) -> Target:
-    """Read a wanted trajectory (time and displacement) and ignore other columns.
+    """Read a wanted motion (time and displacement) from a file and ignore other columns.
 
     Args:
         path: one file of the known formats.
@@ -294,7 +294,7 @@ def _unfolded(paths: Sequence[str | os.PathLike]) -> Iterator[str | os.PathLike]
 
 
 def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
-    """Return the record files behind files and folders, in order.
+    """Return the recording files among the given files and in the given folders, in order.
 
     Raises:
         BadInput: none given, one that does not exist, a folder without any.
@@ -324,7 +324,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
 
 
 def _is_record(file: Path) -> bool:
-    """Return whether a file in a folder is a record: a known suffix, not hidden, not a read-me."""
+    """Return whether a file of a folder is taken as a recording: it has a suffix and is not hidden or a read-me."""
     stem, suffix = split_suffix(file.name)
     note = suffix.lower() == ".txt" and stem.lower().replace("-", "").replace("_", "") in _NOTES
     return is_bag(file) or (
@@ -333,7 +333,7 @@ def _is_record(file: Path) -> bool:
 
 
 def names_of(files: Sequence[Path]) -> list[str]:
-    """Return one unique name per file; names that collide get as many parent folders as necessary.
+    """Return one unique record name per file; names that collide get as many parent folders as necessary.
 
     Raises:
         BadInput: a file given twice, or two of one folder that differ only in their suffix.
@@ -362,7 +362,7 @@ def names_of(files: Sequence[Path]) -> list[str]:
 
 
 def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
-    """Return a file's columns checked, with sensor faults masked, on a uniform grid; zeros without an output.
+    """Check a file's columns, mask sensor faults and put the samples on a uniform grid; zeros replace a missing output.
 
     Args:
         one: the columns.
@@ -426,14 +426,14 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
 
 
 def _beside(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options from the `pitp.toml` beside a file; joined files are relative to that folder."""
+    """Return reading options for the `pitp.toml` beside a file, with joined files relative to that folder."""
     if options.join is None:
         return options
     return replace(options, join=tuple(os.path.relpath(other, path.parent) for other in options.join))
 
 
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
-    """Return remarks on what was done to a record."""
+    """List remarks on what was changed in a record while reading."""
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
     notes = questions(masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
@@ -451,7 +451,7 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
 
 
 def clock_remarks(name: str, put: Gridded) -> list[Remark]:
-    """Return remarks on what was done to the time of a record."""
+    """List remarks on what was changed in the time of a record while reading."""
     rows, count = put.rows, len(put.rows.time)
     jitter = put.jitter if put.jitter > TIME_TOLERANCE and not put.packets else 0
     rate = f"{1 / np.median(np.diff(put.pieces[0].time)):.4g} Hz"

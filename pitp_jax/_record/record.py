@@ -1,4 +1,4 @@
-"""A record: one excitation of one actuator, sampled uniformly.
+"""Define a record: one excitation of one actuator, sampled uniformly.
 
     t_i = t_0 + i dt,   u_i = voltage (V),   y_i = displacement (base unit: m, or V for an electronic output)
 
@@ -39,7 +39,7 @@ def own_column(values: Any, what: str) -> np.ndarray:
 
 
 class Timed(Shown):
-    """A uniformly sampled series."""
+    """A series of samples at a uniform rate."""
 
     time: np.ndarray
 
@@ -50,14 +50,14 @@ class Timed(Shown):
 
 
 def range_in(values: np.ndarray, unit: str) -> str:
-    """Return the range of values (base unit, nan where missing) as text in their file's unit: `0 to 2.5 kV`."""
+    """Write the range of values (base unit, nan where missing) in their file's unit: `0 to 2.5 kV`."""
     low, high = (from_base(float(end(values)), unit) for end in (np.nanmin, np.nanmax))
     return f"{low:.4g} to {high:.4g} {unit}"
 
 
 @dataclass(frozen=True, eq=False)
 class Record(Timed):
-    """One excitation of one actuator, in base units.
+    """A recording of one actuator under one excitation: time, voltage and displacement in base units.
 
     Attributes:
         name: the file name without its known suffix, or any label unique in the set.
@@ -84,7 +84,7 @@ class Record(Timed):
     recognised: Mapping[str, Any] = field(default_factory=dict, compare=False, repr=False)
 
     def __post_init__(self):
-        """Refuse samples that no later step could use (the readers give the file, column and sample as well)."""
+        """Refuse samples from which nothing can be computed (the readers name the file, column and sample as well)."""
         refuse_traced("Record", "free_run or residual with arrays", self.time, self.voltage, self.displacement)
         for name in ("time", "voltage", "displacement"):
             object.__setattr__(self, name, own_column(getattr(self, name), f"record {self.name!r}: {name}"))
@@ -95,24 +95,24 @@ class Record(Timed):
         check_samples(self.time, self.voltage, self.displacement, source)
 
     def __repr__(self) -> str:
-        """Return one line: length, rate, ranges in the file's units."""
+        """Write the record in one line: length, sampling rate, ranges in the file's units."""
         ranges = range_in(self.voltage, self.voltage_unit), range_in(self.displacement, self.displacement_unit)
         lost = f", {self.missing} missing" if self.missing else ""
         return f"Record({self.name!r}: {self.samples} samples at {1 / self.dt:.6g} Hz, {', '.join(ranges)}{lost})"
 
     @property
     def samples(self) -> int:
-        """Return the number of samples T."""
+        """Return the number of samples, T."""
         return len(self.time)
 
     @property
     def observed(self) -> np.ndarray:
-        """Return where the output was measured, shape (T,)."""
+        """Return True where the output was measured, shape (T,)."""
         return np.isfinite(self.displacement)
 
     @property
     def span(self) -> float:
-        """Return largest minus smallest output."""
+        """Return the range of the output: largest minus smallest measured value, base unit."""
         return float(np.ptp(self.displacement[self.observed]))
 
     @property

@@ -25,7 +25,7 @@ _BEYOND = 3.0  # times the motion's band: a mode above does not move in these re
 
 @runtime_checkable
 class Sampled(Protocol):
-    """Parts of a model that depend on the sampling rate: its force, coefficients, and itself at another rate."""
+    """The parts of a model that block averaging uses: input map, coefficients, and itself at another sampling rate."""
 
     @property
     def input_map(self) -> Any: ...
@@ -40,7 +40,7 @@ M = TypeVar("M", bound=Sampled)
 def reduce_rate(
     records: Sequence[Record], model: M, samples_per_period: float, *, least: int = 2
 ) -> tuple[Sequence[Record], M]:
-    """Return the records as block means, and the model for their rate; both unchanged if nothing is gained.
+    """Average records over blocks and convert the model to the new rate; return both unchanged if blocks are too small.
 
     Args:
         records: in base units, of one sampling rate.
@@ -60,7 +60,7 @@ def reduce_rate(
 
 
 def fastest_hz(records: Sequence[Record], forces: Sequence[np.ndarray], modes: np.ndarray) -> float:
-    """Return the highest relevant frequency (Hz): of the motion under the force, and of modes that oscillate there.
+    """Return the highest relevant frequency (Hz): of motion caused by the input, or of a mode that oscillates near it.
 
     Force without motion and motion without force are ignored, and so is a mode far above the motion.
     """
@@ -71,7 +71,7 @@ def fastest_hz(records: Sequence[Record], forces: Sequence[np.ndarray], modes: n
 
 
 def block_size(dt: float, hertz: float, samples_per_period: float, shortest: int) -> int:
-    """Return the block size (samples) that keeps enough samples per period, and 64 in the shortest record.
+    """Return the block size (samples) that keeps enough samples per period, and 64 blocks in the shortest record.
 
     Args:
         dt: sampling interval, s.
@@ -83,7 +83,7 @@ def block_size(dt: float, hertz: float, samples_per_period: float, shortest: int
 
 
 def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Record:
-    """Return the record in means over blocks of `size` samples, with the force (V^2 or V) in place of the voltage.
+    """Average a record over blocks of `size` samples; the input (V^2 or V) takes the place of the voltage.
 
     The force is averaged because the mean of a square is not the square of the mean. A block is missing if less than
     half of it was observed.
@@ -100,18 +100,18 @@ def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Re
 
 
 def means(values: np.ndarray, size: int) -> np.ndarray:
-    """Return the means over whole blocks of `size` samples, shape (len(values) // size,)."""
+    """Average values over whole blocks of `size` samples, shape (len(values) // size,)."""
     count = len(values) // size
     return values[: count * size].reshape(count, size).mean(1)
 
 
 def samples_before(k: int, rest: bool) -> int:
-    """Return how many samples of rest precede a record, so that its first mean contains only rest."""
+    """Return how many samples at rest to put before a record, so that its first block mean contains only rest."""
     return k + k // 2 if rest and k > 1 else 0
 
 
 def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
-    """Return every size-th sample as the mean of those around it, starting in the rest before; nan is ignored."""
+    """Average a series around every `size`-th sample, from the rest before it on; nan is ignored."""
     if size == 1:
         return series
     # an even size has no middle sample: half of either end
@@ -124,7 +124,7 @@ def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
 
 
 def _with_voltage(record: Record, force: np.ndarray, size: int, model: Sampled) -> Record:
-    """Return block means with the force turned back into a voltage with the sign of the mean voltage."""
+    """Average a record over blocks; its voltage is that of the mean input, with the sign of the mean voltage."""
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
     sign = np.where(voltage < 0, -1.0, 1.0) if model.input_map.one_sided else 1.0  # the square has lost the sign

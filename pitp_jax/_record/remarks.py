@@ -1,4 +1,4 @@
-"""Remarks on what was done to records while reading: stored as values, formulated only at the end.
+"""Collect remarks on what was done to records while reading, and write them as sentences at the end.
 
 kind, record, count -> one sentence for a record, one line of a set for every kind: `9 records: 1 lost sample each, ...`
 """
@@ -35,7 +35,7 @@ _MEASURED = {"jitter": "time jitters by up to {:.2g} of a sample, put on a unifo
 
 @dataclass(frozen=True)
 class Remark:
-    """One finding on one record.
+    """One remark on what was done to a record while reading.
 
     Attributes:
         kind: one of those above, or "note", which is `detail` alone.
@@ -50,7 +50,7 @@ class Remark:
     detail: str = ""
 
     def __str__(self) -> str:
-        """Return the sentence, without the record."""
+        """Return the remark as a sentence without the record's name."""
         if self.kind in _MEASURED:
             return _MEASURED[self.kind].format(self.value)
         if self.kind not in _COUNTED:
@@ -60,12 +60,12 @@ class Remark:
 
 
 def counted(count: int, what: str) -> str:
-    """Return a count with its noun, singular or plural."""
+    """Write a count with its noun, singular or plural."""
     return f"{count} {what}{'' if count == 1 else 's'}"
 
 
 def by_kind(remarks: Sequence[Remark]) -> list[str]:
-    """Return one line for every kind, in order of appearance; notes one by one."""
+    """Write one line for every kind of remark, in order of appearance, and one for each note."""
     lines = []
     for kind in dict.fromkeys(remark.kind for remark in remarks):
         same = [remark for remark in remarks if remark.kind == kind]

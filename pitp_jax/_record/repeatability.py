@@ -1,4 +1,4 @@
-"""Scatter of a rig between cycles of a periodic input: the noise floor of such records.
+"""Estimate the noise floor of records with a periodic input from the scatter between cycles.
 
     sigma^2 = mean over a window of  (e(t + P) - e(t))^2 / 2        where  u(t + P) = u(t)
 
@@ -19,7 +19,7 @@ _MOVING = 0.1  # of the record's largest standard deviation over a window
 
 
 def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> float | None:
-    """Return the squared scatter of one record: the largest over the lags that best repeat the input, or None."""
+    """Return the squared scatter of an error between cycles of the input; None if the input does not repeat."""
     u = record.voltage
     period = _period(record)
     # too few samples of a period, or periods of a record, to compare
@@ -34,7 +34,7 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
 
 
 def _period(record: Record) -> float:
-    """Return the period of the input's strongest line (samples), by a parabola through its logarithm."""
+    """Return the period (samples) of the input's strongest Fourier line, interpolated by a parabola."""
     size = spectrum(record)
     k = int(np.argmax(size[1:-1])) + 1
     a, b, c = np.log(np.maximum(size[k - 1 : k + 2], 1e-300))
@@ -44,7 +44,10 @@ def _period(record: Record) -> float:
 
 
 def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
-    """Return the input's difference after `lag` (over its deviation) and half the mean square of the error's."""
+    """Return the input's difference after `lag` samples (over its deviation), and half the error's mean square change.
+
+    Both are medians over windows; None if too few windows repeat.
+    """
     count = (len(u) - lag) // size
     if count < _FEWEST:
         return None
@@ -64,12 +67,12 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
 
 
 def _change(values, lag: int):
-    """Return the change over the lag, and its derivative with respect to a part of a sample."""
+    """Return the change of values after `lag` samples, and its derivative by a fraction of a sample."""
     return values[lag:] - values[:-lag], np.gradient(values)[:-lag]
 
 
 def _square(change, more, counts):
-    """Return half the mean square of a change over every window, corrected for a non-integer period."""
+    """Return half the mean square of a change in every window, without the part that a non-integer period explains."""
     more = more - more.mean(1, keepdims=True)  # the mean slope of a slow drift stays
     part = np.sum(counts * change * more, 1) / np.maximum(np.sum(counts * more**2, 1), 1e-300)
     return np.sum(counts * (change - part[:, None] * more) ** 2, 1) / 2 / np.maximum(counts.sum(1), 1)

@@ -1,4 +1,4 @@
-"""Select a range of time of a recording, as `--from S --to S` states it.
+"""Select a time range of a recording, as `--from S --to S` states it.
 
 from_s <= t_i - t_0 <= to_s        t_0: the first row; a counter that overflows is continued first
 """
@@ -15,7 +15,7 @@ _SLACK = 1e-3  # of a step: times such as 0.1 s are not exact
 
 
 def select_range(one: Loaded) -> Loaded:
-    """Return the rows within the stated range of time; all rows if none is stated.
+    """Return the rows within the time range that the user states; all rows without one.
 
     Args:
         one: the columns of a recording as they were read.

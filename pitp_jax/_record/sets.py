@@ -1,4 +1,4 @@
-"""Sets of records: checks of rate and output, start of the session clock, groups of similar length."""
+"""Check the rate and output of several records, find the start of the session clock, and group records by length."""
 
 from collections.abc import Callable, Sequence
 from os import PathLike
@@ -14,7 +14,7 @@ ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the
 
 
 def check_records(records: object, *, empty: bool = False) -> None:
-    """Refuse anything but a list of records; `empty`: whether an empty list is accepted.
+    """Refuse any argument that is not a list of records; `empty`: whether an empty list is accepted.
 
     Raises:
         BadInput: naming the given and the accepted types.
@@ -33,7 +33,7 @@ def check_records(records: object, *, empty: bool = False) -> None:
 
 
 def check_set(records: Sequence[Record] | Record) -> None:
-    """Refuse anything but a set of records with one sampling rate and one kind of output.
+    """Refuse records that differ in sampling rate or in the kind of output.
 
     Raises:
         BadInput: with the record that does not fit.
@@ -65,7 +65,7 @@ def clock_start(records: Sequence[Record]) -> float:
 
 
 def session_clock(records: Sequence[Record]) -> bool:
-    """Return whether the times of a set are one session clock: no two records overlap (a single one: True).
+    """Return whether the records share one session clock: no two overlap in time (True for a single one).
 
     Args:
         records: the records of a set, in any order.
@@ -76,7 +76,9 @@ def session_clock(records: Sequence[Record]) -> bool:
 
 
 def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
-    """Return groups of indices of records to be padded to one length: one group unless padding doubles them.
+    """Group indices of records of similar length, to be padded to one length.
+
+    There is one group unless padding doubles the samples.
 
     One long record would lengthen all short ones in its group. In a group none is shorter than half the longest.
     """

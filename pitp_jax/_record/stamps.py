@@ -1,4 +1,4 @@
-"""Repair time stamps before a grid is fitted: overflows, rows out of order, rows with equal stamps.
+"""Repair time stamps before a uniform grid is fitted: counter overflows, rows out of order, equal stamps.
 
 overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of 1 ms or 1 us)
 
@@ -22,7 +22,7 @@ _PAIRS = 0.95  # of the stamps: if fewer occur twice, they are not pairs of leas
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows of a record in the order of their stamps.
+    """Rows of a recording in the order of their time stamps, with counts of what was repaired.
 
     Attributes:
         time, voltage, displacement: shapes (T,).
@@ -43,7 +43,7 @@ class Rows:
     counted: bool = False
 
     def counted_at(self, rate: float) -> "Rows":
-        """Return the rows with times from their numbers alone."""
+        """Return the rows with times computed from row number and rate (Hz)."""
         return replace(self, time=np.arange(len(self.time)) / rate, counted=True)
 
 
@@ -56,7 +56,7 @@ def usable_rows(
     place: Callable[[int], str],
     rate: float | None = None,
 ) -> Rows:
-    """Return the rows with a time that does not decrease.
+    """Repair time stamps; return rows whose time does not decrease.
 
     Args:
         time: in s, finite, shape (T,).
@@ -89,7 +89,7 @@ def usable_rows(
 
 
 def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
-    """Return the time with counter overflows added, and their number."""
+    """Add counter overflows to a clock's time (s); return the continuous time and the number of overflows."""
     steps = np.diff(time)
     back, ahead = steps < 0, steps[steps > 0]
     if not back.any() or not len(ahead):
@@ -103,7 +103,7 @@ def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
 
 
 def _in_order(rows: Rows) -> Rows:
-    """Return the rows with sorted stamps; a row moves with its stamp only if the signals become smoother.
+    """Sort time stamps; move each row with its stamp only if that makes the signals smoother.
 
     Packets in the wrong order are sorted. A clock that was set back gives late stamps of correctly ordered rows.
     """
@@ -122,7 +122,7 @@ def _in_order(rows: Rows) -> Rows:
 
 
 def _once(rows: Rows) -> Rows:
-    """Return the rows without those that repeat the row before in all cells.
+    """Drop rows that repeat the row before in every cell.
 
     This applies only if no time repeats without them, because a rounded clock also repeats in other rows.
     """
@@ -138,12 +138,12 @@ def _once(rows: Rows) -> Rows:
 
 
 def _firsts(time: np.ndarray) -> np.ndarray:
-    """Return the indices of the rows whose stamp differs from the row before."""
+    """Return the indices of the rows whose time stamp differs from the row before."""
     return np.flatnonzero(np.append(True, np.diff(time) > 0))
 
 
 def average_stamps(rows: Rows) -> Rows:
-    """Return one row for every stamp, with the means of the input and of the observed output."""
+    """Average rows of equal time stamp: the mean of the input and of the measured output."""
     firsts = _firsts(rows.time)
     sizes = np.diff(np.append(firsts, len(rows.time)))
     observed = np.isfinite(rows.displacement)
@@ -156,7 +156,10 @@ def average_stamps(rows: Rows) -> Rows:
 
 
 def evenness(rows: Rows) -> float:
-    """Return the log ratio of prediction errors of true stamps to even rows; 0 if the signals do not decide."""
+    """Compare how well rows predict their neighbours: log error ratio of the time stamps to even sampling.
+
+    Positive if even sampling fits better; 0 if the signals do not decide.
+    """
     before, after = rows.time[1:-1] - rows.time[:-2], rows.time[2:] - rows.time[1:-1]
     weight = np.where(before + after > 0, after / np.maximum(before + after, 1e-300), 0.5)
     log_ratio = 0.0

@@ -1,4 +1,4 @@
-"""Unwrap values on a circle (angles at +-180 deg or 0 to 360 deg, counts of an encoder).
+"""Unwrap values on a circle: angles at +-180 deg or 0 to 360 deg, counts of a rotary encoder.
 
     d_i = y_{i+1} - y_i,    n_i = round(d_i / P),    r_i = d_i - n_i P        P: one turn, d_i: step, r_i: its short way
 
@@ -25,7 +25,7 @@ _COUNTS = np.sort(np.concatenate([
 def unwrap(
     voltage: np.ndarray, displacement: np.ndarray, units: tuple[str, str]
 ) -> tuple[np.ndarray, np.ndarray, tuple[int, int]]:
-    """Unwrap the output of a record, and its input if the output shows that the input has turned.
+    """Unwrap the output of a record, and its input if the output shows that the input has turned too.
 
     Args:
         voltage: input, shape (T,).
@@ -55,7 +55,7 @@ def unwrap(
 
 
 def _period(values: np.ndarray, unit: str) -> float | None:
-    """Return one turn in the values' unit; for counts, the round number that the largest steps indicate."""
+    """Return the size of one turn in the values' unit (for counts: the round number nearest to the jumps), or None."""
     if unit == "rad":
         return 2 * math.pi
     steps = np.diff(values)
@@ -70,13 +70,13 @@ def _period(values: np.ndarray, unit: str) -> float | None:
 
 
 def _beside(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the mean of the two neighbours of each step, and the sum of their sizes."""
+    """Return the mean of the two neighbours of each step, and the sum of their magnitudes."""
     before, after = np.append(steps[:1], steps[:-1]), np.append(steps[1:], steps[-1:])
     return (before + after) / 2, np.abs(before) + np.abs(after)
 
 
 def _turns(values: np.ndarray, period: float) -> np.ndarray:
-    """Return n_i of the steps that are turns, 0 elsewhere, shape (T - 1,)."""
+    """Return how many turns each sample-to-sample step jumps, 0 if it is not a wrap, shape (T - 1,)."""
     steps = np.diff(values)
     turns = np.round(steps / period)
     if not turns.any() or np.ptp(values) > _SLACK * period:
@@ -91,7 +91,7 @@ def _turns(values: np.ndarray, period: float) -> np.ndarray:
 def _unwrapped_input(
     voltage: np.ndarray, output: np.ndarray, period: float, turn_of_output: float
 ) -> tuple[np.ndarray, int]:
-    """Unwrap the input at steps after which the output follows the short way; return it and the number of turns."""
+    """Unwrap the input at steps that the output follows the short way; return the input and the number of turns."""
     steps = np.flatnonzero(np.round(np.diff(voltage) / period))
     if not steps.size or np.ptp(voltage) > _SLACK * period:
         return voltage, 0

@@ -1,4 +1,4 @@
-"""Read files of a voltage alone, to be played to a model, by the rules of records."""
+"""Read files that hold only a voltage, to be played to a model, by the rules of recordings."""
 
 import os
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from .selection import select_range
 
 @dataclass(frozen=True, eq=False)
 class Drive(Timed):
-    """A voltage without a measurement.
+    """A voltage over time from a file, without a measured output.
 
     Attributes:
         name: the file name without its known suffix.
@@ -43,7 +43,7 @@ class Drive(Timed):
 
 
 def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
-    """Read any mix of files and folders with time and voltage; a displacement column is ignored.
+    """Read voltages over time from any mix of files and folders; a displacement column is ignored.
 
     Args:
         *paths: files and folders as for `read`; rates may differ.
@@ -67,7 +67,7 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
 
 
 def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
-    """Return one voltage, or several if gaps are too long to fill."""
+    """Read one voltage from a file, or several if gaps are too long to fill."""
     one = select_range(one)
     _, put = mended(one)
     kinds = [f"{OPTIONS[q]} {one.words(q)}" for q in one.chosen]
@@ -83,7 +83,7 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
 
 
 def _output(table: Table, options: ReadOptions) -> str | None:
-    """Return the header of the displacement column, or None."""
+    """Return the header of the output column that `pitp` would choose, or None."""
     try:
         return choose_columns(table, options, ("displacement",))["displacement"].name
     except BadInput:

@@ -1,4 +1,4 @@
-"""Waveforms, each as (time, values) sampled at t_i = i / rate, i = 0 .. round(T rate) - 1.
+"""Compute waveforms, each as (time, values) sampled at t_i = i / rate, i = 0 .. round(T rate) - 1.
 
     sweep  A sin(pi ((f_end - f_start) t / T + 2 f_start) t - pi/2) + B            (paper, eq. 14)
     sine   A sin(2 pi f t - pi/2) + B                                              (paper, eq. 14)
@@ -18,7 +18,7 @@ Waveform = tuple[np.ndarray, np.ndarray]
 
 
 def smooth_step(s: np.ndarray) -> np.ndarray:
-    """Return 6 s^5 - 15 s^4 + 10 s^3 for s in [0, 1], 0 before, 1 after: a step with continuous second derivative."""
+    """Evaluate 6 s^5 - 15 s^4 + 10 s^3 for s in [0, 1], 0 before, 1 after: a step with continuous second derivative."""
     s = np.clip(s, 0.0, 1.0)
     return s**3 * (10.0 + s * (6.0 * s - 15.0))
 
@@ -31,7 +31,7 @@ def _clock(duration: float, rate: float) -> np.ndarray:
 
 
 def _finish(time: np.ndarray, values: np.ndarray, rate: float, rise: float, rest_s: float) -> Waveform:
-    """Apply the ramp and append the rest."""
+    """Multiply values by the initial ramp and append zeros at the end."""
     if rise < 0 or rest_s < 0:
         raise ValueError(f"rise {rise} s and rest_s {rest_s} s cannot be negative")
     if rise > 0:
@@ -52,7 +52,7 @@ def sweep(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Return a linear frequency sweep, eq. 14.
+    """Return a linear frequency sweep (eq. 14 of the paper).
 
     Args:
         f_start: first frequency in Hz.
@@ -82,7 +82,7 @@ def sine(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Return a sine, eq. 14, which starts at its lowest value, offset - amplitude.
+    """Return a sine (eq. 14 of the paper), which starts at its lowest value, offset - amplitude.
 
     Args:
         frequency: f in Hz.
@@ -110,14 +110,14 @@ def triangle(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Return a symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; otherwise as `sine`."""
+    """Return a symmetric triangle between offset - amplitude (at t = 0) and offset + amplitude; see `sine`."""
     time = _clock(duration, rate)
     wave = scipy.signal.sawtooth(2 * np.pi * frequency * time, 0.5)  # pyright: ignore[reportArgumentType]
     return _finish(time, amplitude * wave + offset, rate, rise, rest_s)
 
 
 def steps(levels: Sequence[float], hold: float, rate: float, *, rise: float, rest_s: float = 0.0) -> Waveform:
-    """Return levels one after another, from zero, each reached by a smooth step.
+    """Return a staircase of voltage levels, starting at zero, each reached by a smooth step.
 
     Args:
         levels: in V.
@@ -154,7 +154,7 @@ def multisine(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Return a random-phase multisine: every multiple of 1/duration in the band, at equal amplitudes.
+    """Return a random-phase multisine: all multiples of 1/duration in the band, at equal amplitudes.
 
     Args:
         band: lowest and highest frequency in Hz.
@@ -213,7 +213,7 @@ def complex_trajectory(
     rise: float = 0.0,
     rest_s: float = 0.0,
 ) -> Waveform:
-    """Return a smooth curve of changing range and speed, similar to the paper's Fig. 18.
+    """Return a smooth curve of changing amplitude and speed, similar to Fig. 18 of the paper.
 
     x(t) = sum_k a_k (1 + sin(2 pi f t g_k + p_k) / 2) sin(2 pi f r_k t + q_k)
 

@@ -1,1 +1,1 @@
-"""Figures on axes the caller may supply (data in m, V and s, shown in mm, V or kV, and s), numbers and pages."""
+"""Draw figures (data in m, V and s, shown in mm, V or kV, and s), format numbers, and write pages."""

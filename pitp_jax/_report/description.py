@@ -1,4 +1,4 @@
-"""A model in plain values: its kind, coefficients with units and standard errors, modes and effects."""
+"""Describe a model in plain values: kind, coefficients with units and standard errors, modes and effects."""
 
 import math
 
@@ -14,7 +14,7 @@ from .numbers import number
 
 
 def modes(model: Fitted) -> list[dict]:
-    """Return every real pole and pole pair of the nominal: natural frequency in Hz and damping, ascending."""
+    """Return every real pole and pole pair of the nominal model: natural frequency in Hz and damping, ascending."""
     a = model.physical_coefficients
     roots = [complex(r) for r in np.roots(a[::-1]) if r.imag >= 0 and abs(r) > 0]
     return [
@@ -24,7 +24,7 @@ def modes(model: Fitted) -> list[dict]:
 
 
 def describe(model: Fitted, units: Units | None = None) -> dict:
-    """Return a model in plain values, for `pitp info` and its JSON, in its own or in other units."""
+    """Describe a model as a dict, for `pitp info` and its JSON, in the model's units or in others."""
     domain, origin, units = model.domain, model.origin, units or units_of(model)
     factors, names = zip(*(units.coefficient(i) for i in range(model.order + 1)), strict=True)
     return {
@@ -55,7 +55,7 @@ def describe(model: Fitted, units: Units | None = None) -> dict:
 
 
 def fallback_line(training: dict | None) -> str | None:
-    """Return a sentence on the model that replaces a failed training, or None if none failed."""
+    """Write which model replaces a failed training; None if the training did not fail."""
     if not training or not training.get("fallback"):
         return None
     if "itself" in training["fallback"]:
@@ -64,7 +64,7 @@ def fallback_line(training: dict | None) -> str | None:
 
 
 def _described(model: Fitted, effect, units: Units) -> dict:
-    """Return name, form and parameters of an effect in physical units."""
+    """Return name, form and parameters of an effect in the given units."""
     numbers = {p.name: physical(model, p, float(v), units) for p, v in effect.numbers()}
     return {
         "effect": effect.name,
@@ -74,13 +74,13 @@ def _described(model: Fitted, effect, units: Units) -> dict:
 
 
 def in_words(effect: dict) -> str:
-    """Return an effect of `describe` in one line."""
+    """Write an effect, as `describe` returns it, in one line."""
     numbers = ", ".join(f"{k} {number(v['value'])} {v['unit']}" for k, v in effect["parameters"].items())
     return f"{effect['effect']} ({effect['form']}): {numbers}"
 
 
 def sensor_line(model: Fitted) -> str:
-    """Return a sentence on the sensor's reading at zero input, and on a reversed sensor."""
+    """Write what the sensor reads at zero input, and whether it is reversed."""
     units = units_of(model)
     line = f"The sensor reads {units.output.text(float(model.output.offset))} at 0 {units.input.unit}"
     if model.output.polarity > 0:

@@ -1,4 +1,4 @@
-"""The numbers of a figure as a table: every line, point and bar of every axes."""
+"""Write a figure with its numbers as a table: every line, point and bar of all axes."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -13,7 +13,7 @@ FIGURES = "figures"  # below the folder of a page: figures and their numbers, ne
 
 
 def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, np.ndarray] | None = None) -> None:
-    """Write `figures/NAME.png` and its numbers as `figures/NAME.csv` into a folder.
+    """Write `figures/NAME.png` and the numbers of the figure as `figures/NAME.csv` into a folder.
 
     Args:
         folder: where `figures/` is made if it is missing.
@@ -34,7 +34,7 @@ def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, n
 
 
 def write_picture(folder: Path, name: str, drawn: Figure) -> None:
-    """Write `figures/NAME.png` into a folder."""
+    """Write a figure as `figures/NAME.png` into a folder."""
     file = folder / FIGURES / f"{name}.png"
     file.parent.mkdir(parents=True, exist_ok=True)
     drawn.savefig(file, dpi=150)

@@ -1,4 +1,4 @@
-"""One self-contained HTML page: its style, its parts, and figures as inline SVG that follow light and dark.
+"""Write self-contained HTML pages, with figures as inline SVG that follow light and dark mode.
 
 Nothing is loaded from anywhere: no script, no font, no picture. Every text goes through `html.escape`.
 """
@@ -62,7 +62,7 @@ _COLORS = {"#000000": "--ink", "#e6e6e6": "--grid", "#a6a6a6": "--seen", "#0072b
 
 
 def page(title: str, parts: Iterable[str]) -> str:
-    """Return the page around its parts, which are HTML already."""
+    """Write a whole HTML page around parts that are HTML already."""
     return (
         '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
         '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
@@ -73,12 +73,12 @@ def page(title: str, parts: Iterable[str]) -> str:
 
 
 def tag(name: str, text: str, css: str = "") -> str:
-    """Return an element around escaped text, without line breaks between a number and its %."""
+    """Write an HTML element around escaped text, without a line break between a number and %."""
     return f"<{name}{_class(css)}>{_text(text)}</{name}>"
 
 
 def link(place: str, text: str) -> str:
-    """Return a line with a link to another page, by its path from this one."""
+    """Write a paragraph with a link to another page, by its path from this page."""
     return f'<p><a href="{escape(quote(place))}">{_text(place)}</a> {tag("span", text, "soft")}</p>'
 
 
@@ -91,17 +91,17 @@ def _class(css: str) -> str:
 
 
 def card(heading: str, big: str, *lines: str) -> str:
-    """Return a box that answers one question: its short answer large, then lines that are HTML already."""
+    """Write a box that answers one question: a short answer in large letters, then lines that are HTML already."""
     return f'<section class="card">{tag("h3", heading)}{tag("p", big, "big")}{"".join(lines)}</section>'
 
 
 def bullets(lines: Sequence[str]) -> str:
-    """Return a list of plain texts; empty without texts."""
+    """Write a list of plain texts; empty without texts."""
     return f"<ul>{''.join(tag('li', line) for line in lines)}</ul>" if lines else ""
 
 
 def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """Return a table that is never wider than the page; on a narrow page each row becomes a list of named values.
+    """Write a table that is never wider than the page; on a narrow page each row becomes a list of named values.
 
     Args:
         header: names of the columns.
@@ -121,14 +121,14 @@ def table(header: Sequence[str], rows: Iterable[tuple[str, Sequence[str]]], css:
 
 
 def telling_table(header: Sequence[str], rows: Sequence[tuple[str, Sequence[str]]], css: dict[int, str]) -> str:
-    """Return a table without the columns that contain only dashes or zeros."""
+    """Write a table without the columns that contain only dashes or zeros."""
     told = [k for k in range(len(header)) if any(cells[k] not in ("–", "0", "") for _, cells in rows)]
     kept = [(kind, [cells[k] for k in told]) for kind, cells in rows]
     return table([header[k] for k in told], kept, {i: css[k] for i, k in enumerate(told) if k in css})
 
 
 def picture(name: str, drawn: Figure, caption: str) -> str:
-    """Return a figure as inline SVG with a caption; its black, greys and blue follow the page's colours.
+    """Write a figure as inline SVG with a caption; black, greys and blue follow the page's colours.
 
     Args:
         name: unique on the page.
@@ -151,7 +151,7 @@ def picture(name: str, drawn: Figure, caption: str) -> str:
 
 
 def _made_small(drawn: Figure) -> None:
-    """Shrink to 3.55 inches with text of at least 8.5 points, and lines to at most `_SAMPLES` samples."""
+    """Shrink a figure to 3.55 inches, with text of at least 8.5 points and fewer samples per line."""
     wide, high = drawn.get_size_inches()
     drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels would fill the plot
     for ax in drawn.axes if len(drawn.axes) > 1 else ():

@@ -1,4 +1,4 @@
-"""Lines, axes and units shared by the functions of `paper_figures`.
+"""Draw lines and axes, and convert units, for `paper_figures` and the pages.
 
 A line of more than 4 `BINS` samples is drawn by the smallest and largest sample of each bin, in their order: more than
 a printed figure resolves, without losing a peak; 200,000 samples are drawn quickly.
@@ -22,7 +22,7 @@ _ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
 
 
 def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return where each of `bins` equal parts of a signal is smallest and largest.
+    """Return the indices of the smallest and largest sample in each of `bins` equal parts of a signal.
 
     Args:
         values: signal, shape (T,); nan where missing, which is ignored.
@@ -36,7 +36,7 @@ def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the indices of `extremes` over parts widened to whole oscillations, which draw only the envelope.
+    """Return the indices of the smallest and largest sample in parts of whole oscillations, to draw an envelope.
 
     A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
     neighbours is a ripple within an oscillation.
@@ -62,7 +62,7 @@ def _least_and_most(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> 
 
 
 def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
-    """Return indices of the samples that draw a line: all of a short one, otherwise its ends and extremes."""
+    """Return the indices of the samples to draw: all of a short signal, otherwise both ends and the extremes."""
     if len(values) <= 4 * bins:
         return np.arange(len(values))
     low, high = extremes(values, bins)
@@ -70,13 +70,13 @@ def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
 
 
 def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
-    """Draw one signal (T,) over `across` (T,), thinned if it is long."""
+    """Draw a signal over another one, both (T,), with fewer samples if it is long."""
     kept = thin(values)
     ax.plot(across[kept], values[kept], **style)
 
 
 def some_periods(values: np.ndarray) -> slice:
-    """Return the samples of a signal to draw: all, or some periods of its middle if more would make a solid block.
+    """Return the part of a signal to draw: all of it, or some periods of the middle if more would fill a solid block.
 
     Args:
         values: signal, shape (T,); nan where missing.
@@ -98,7 +98,7 @@ def some_periods(values: np.ndarray) -> slice:
 
 
 def over(values: np.ndarray) -> dict:
-    """Return the style of a line over another: dashed if dashes are visible, transparent if it fills a band."""
+    """Return the style of a line drawn over another: dashed, or transparent if it fills a band."""
     turns = np.count_nonzero(np.diff(np.diff(values) > 0))
     if turns < 25:
         return {"ls": "--"}
@@ -106,7 +106,7 @@ def over(values: np.ndarray) -> dict:
 
 
 def shown(unit: str, *signals) -> list[np.ndarray]:
-    """Return signals in the unit shown; refuse an unknown unit and unequal lengths."""
+    """Convert signals to the unit shown; refuse an unknown unit and unequal lengths."""
     if unit not in _UNITS:
         raise ValueError(f"unknown output unit {unit!r}; use one of {', '.join(_UNITS)}")
     arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
@@ -115,24 +115,24 @@ def shown(unit: str, *signals) -> list[np.ndarray]:
 
 
 def output_label(unit: str) -> str:
-    """Return the axis label of the output."""
+    """Return the axis label of the output for its unit."""
     return _UNITS[unit][1]
 
 
 def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
-    """Return an error (mm or V) as shown, in µm or mV if it stays below 0.05, and its axis label."""
+    """Return an error (mm or V) in µm or mV if it stays below 0.05, otherwise unchanged, and the axis label."""
     small = np.nanmax(np.abs(error), initial=0.0) < 0.05
     return error * (1e3 if small else 1.0), _ERRORS[unit][int(small)]
 
 
 def same_length(*arrays: np.ndarray) -> None:
-    """Refuse signals that are not all (T,) with one T."""
+    """Refuse signals that do not all have shape (T,) and the same length."""
     if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
         raise ValueError(f"signals must have shape (T,) and one length, not {[a.shape for a in arrays]}")
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
-    """Return an input (base unit) as shown, and its axis label: a voltage in kV from 2 kV on."""
+    """Convert an input from its base unit to the shown one (kV from 2 kV on); return it and the axis label."""
     voltage = np.asarray(voltage, dtype=np.float64)
     if base_unit(unit) != "V":
         return from_base(voltage, unit), f"input ({shown_unit(unit)})"
@@ -142,7 +142,7 @@ def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
 
 
 def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.ndarray:
-    """Return the caller's axes as an array (rows,), or those of a new figure of `size` inches, sharing time."""
+    """Return the caller's axes as an array (rows,), or those of a new figure of `size` inches with one time axis."""
     if axes is None:
         figure = Figure(figsize=size, layout="constrained")
         ratios = {"height_ratios": heights} if heights else {}
@@ -155,7 +155,7 @@ def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.nda
 
 
 def finish(axes: np.ndarray, across: str, upward, legend_columns: int = 2) -> None:
-    """Add labels, ticks, a light grid, and the legend above the first axes, where it covers no data.
+    """Add labels, ticks, a light grid, and a legend above the first axes.
 
     Stacked axes share `across`: only the lowest shows its numbers.
     """

@@ -1,4 +1,4 @@
-"""Rounded numbers as text.
+"""Write rounded numbers as text.
 
 value +- stderr     two digits of the standard error if it begins with 1, otherwise one; the value to the same digit
 """
@@ -9,12 +9,12 @@ _DIGITS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def number(value: float | None, digits: int = 4) -> str:
-    """Return a number for the terminal, in ASCII; a dash if there is none."""
+    """Write a number for the terminal, in ASCII; a dash if it is missing."""
     return "-" if value is None or value != value else f"{value:.{digits}g}"
 
 
 def figure(value: float | None, digits: int = 3) -> str:
-    """Return a number with this many digits, powers of ten written out; a dash if there is none."""
+    """Write a number with this many digits and powers of ten as ·10ⁿ; a dash if it is missing."""
     if value is None or not math.isfinite(value):
         return "–"
     if value and not 1e-3 <= abs(value) < 1e6:
@@ -25,7 +25,7 @@ def figure(value: float | None, digits: int = 3) -> str:
 
 
 def percent(share: float | None) -> str:
-    """Return a fraction as a percentage without decimals, except between 98.5 and 100 %."""
+    """Write a fraction as a percentage, without decimals except between 98.5 and 100 %."""
     if share is None or not math.isfinite(share):
         return "–"
     text = f"{100 * share:.1f}" if 0.985 < share < 0.9995 else f"{100 * share:.0f}"
@@ -33,7 +33,7 @@ def percent(share: float | None) -> str:
 
 
 def interval(low: float, high: float) -> str:
-    """Return a 95 % interval of fractions; one more digit if its ends would look equal."""
+    """Write a 95 % interval of fractions in %; with one more digit if both ends would look equal."""
     ends = [percent(low), percent(high)]
     if ends[0] == ends[1] and low < high:
         ends = [f"{100 * end:.1f} %".replace("-", "−") for end in (low, high)]
@@ -41,12 +41,12 @@ def interval(low: float, high: float) -> str:
 
 
 def of_range(value: float | None) -> str:
-    """Return an error in % of range."""
+    """Write an error in % of range."""
     return f"{figure(value, 2 if value is not None and value < 10 else 3)} %"
 
 
 def with_error(value: float, stderr: float | None, unit: str) -> str:
-    """Return `0.4781 ± 0.0002 ms`; without ± if the standard error is unknown."""
+    """Write a value with its standard error, `0.4781 ± 0.0002 ms`; without ± if the error is unknown."""
     if not stderr or not math.isfinite(stderr):
         return f"{figure(value)} {unit}".strip()
     size = max(abs(value), stderr)  # a value smaller than its error is written in the error's power of ten
@@ -61,7 +61,7 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
 
 
 def with_interval(value: float, low: float, high: float, unit: str) -> str:
-    """Return `0.4781 s (0.4777 to 0.4785)`; digits as for a standard error of a quarter of the interval's width."""
+    """Write a value with its 95 % interval, `0.4781 s (0.4777 to 0.4785)`, rounded to what the interval determines."""
     width = (high - low) / 4
     if not width or not math.isfinite(width):
         return f"{figure(value)} {unit}".strip()
@@ -75,7 +75,7 @@ def with_interval(value: float, low: float, high: float, unit: str) -> str:
 
 
 def shown_unit(unit: str) -> str:
-    """Return a unit as it is printed."""
+    """Write a unit with typographic characters: µm for um, ² for ^2."""
     return unit.replace("um", "µm").replace("^2", "²").replace("^3", "³")
 
 

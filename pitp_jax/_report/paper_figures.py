@@ -1,4 +1,4 @@
-"""The paper's figures, on axes the caller may supply: data in m, V and s, shown in mm, V or kV, and s.
+"""Draw the paper's figures, on the caller's axes or new ones: data in m, V and s, shown in mm, V or kV, and s.
 
 Every function returns the axes it drew on and makes its own `Figure` if none were given (save it with
 `ax.figure.savefig`, or `axes[0].figure.savefig`). No pyplot, no global style; colours from Okabe and Ito.
@@ -61,7 +61,7 @@ def sweep_response(time, measured, predicted, ax: Axes | None = None, *, sweep_h
 
 
 def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.ndarray:
-    """Draw measured and predicted output, and the error beneath (the paper's Fig. 8).
+    """Draw measured and predicted output, and the error below them (the paper's Fig. 8).
 
     Args:
         time: sample times in s, shape (T,).
@@ -86,7 +86,7 @@ def prediction(time, measured, predicted, axes=None, *, unit: str = "m") -> np.n
 
 
 def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, label: str = "", unit: str = "m") -> Axes:
-    """Draw output over voltage (the paper's Fig. 10); another call on the same axes adds the next frequency.
+    """Draw output over voltage (the paper's Fig. 10); each further call on the same axes adds a frequency.
 
     Args:
         voltage: input voltage in V, shape (T,); best of one settled period.
@@ -113,7 +113,7 @@ def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, la
 
 
 def tokens(time, tokens, names, axes=None) -> np.ndarray:
-    """Draw the tokens of a model over time (the paper's Fig. 7), each on its own axes.
+    """Draw a model's tokens (coefficients along the motion) over time (the paper's Fig. 7), each on its own axes.
 
     Args:
         time: sample times in s, shape (T,).
@@ -135,7 +135,7 @@ def tokens(time, tokens, names, axes=None) -> np.ndarray:
 
 
 def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> np.ndarray:
-    """Draw the tracking of a trajectory: motion, error, and feedforward voltage (the paper's Fig. 13).
+    """Draw how a wanted motion was tracked: motion, error, and voltage (the paper's Fig. 13).
 
     Args:
         time: sample times in s, shape (T,).

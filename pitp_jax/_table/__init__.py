@@ -1,4 +1,4 @@
-"""Tables: turns files of every format into columns with names, units and numbers, and chooses the columns.
+"""Turn files of every format into columns with names, units and numbers, and choose the columns.
 
     file -> guard (size, links, archives) -> possible tables -> choice of time, input and output
 

@@ -36,7 +36,7 @@ _MONITOR = 10.0  # V: the range of a DAQ
 
 @dataclass(frozen=True)
 class Choice:
-    """A chosen column.
+    """The column chosen for one quantity, with its unit.
 
     Attributes:
         place: among the table's columns; None for a time that --rate or the channels' own clock makes.
@@ -57,13 +57,13 @@ class Choice:
 
     @property
     def reading(self) -> tuple:
-        """Return what must be equal for two readings of a file to agree: the column and its unit."""
+        """Return the column index and the unit: two readings of a file agree if both are equal."""
         return self.place, self.unit
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A column with its parsed header: place, unit, conflicting units, and text that is not a known unit."""
+    """A column with its parsed header: index, unit, conflicting units, and text that is not a known unit."""
 
     place: int
     column: Column
@@ -82,12 +82,12 @@ class _Seen:
 
     @property
     def counts_rows(self) -> bool:
-        """Return whether the unit is a count of rows (`Sequence` of an oscilloscope)."""
+        """Return whether the column's unit names a count of rows (`Sequence` of an oscilloscope)."""
         return (self.unknown or "").lower() in _COUNTERS
 
 
 class _Ask(Exception):
-    """A question about one quantity, with the options to suggest."""
+    """A question to the user about one quantity, with the options to suggest."""
 
     def __init__(self, why: str, options: Sequence[str] = ()):
         super().__init__(why)
@@ -95,7 +95,7 @@ class _Ask(Exception):
 
 
 def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
-    """Return the columns that hold these quantities.
+    """Choose the columns that hold these quantities, and their units.
 
     Args:
         table: the opened file.
@@ -150,7 +150,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
 
 
 def clock_question(time: np.ndarray, name: str) -> str | None:
-    """Return a question about a clock without a unit if its steps may not be seconds; otherwise None.
+    """Return a question to the user about a clock column without a unit; None if it plausibly counts seconds.
 
     Args:
         time: as in the file, shape (T,), nan where empty.
@@ -169,7 +169,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
 
 
 def _port(seen: _Seen) -> bool:
-    """Return whether only the words input or output identify a voltage, in a spelling that pitp does not write."""
+    """Return whether a voltage is named only input or output, which may mean a port of the DAQ or of the actuator."""
     return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
 
@@ -193,7 +193,7 @@ def _seen(place: int, column: Column) -> _Seen:
 
 
 def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str]) -> dict[str, list[_Seen]]:
-    """Return the candidate columns of each quantity, by the most certain rule that finds any."""
+    """Return the candidate columns of each quantity, found by the first rule that finds any."""
     pools: dict[str, list[_Seen]] = {}
     for quantity in quantities:
         wanted = options.column(quantity)
@@ -242,7 +242,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
 
 
 def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
-    """Return the columns that could be the time: those with its unit, and those named so without one."""
+    """Return the columns that may hold the time: those with a unit of time, and those named so without a unit."""
     return [
         s for s in seen
         if s.column.form == "stamp" or s.kind == "time" or (s.role == "time" and (s.unit is None or s.conflict))
@@ -250,7 +250,7 @@ def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
 
 
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
-    """Return the clocks that remain after the rules on values, names and units, in this order of importance.
+    """Return the most likely clock columns, by their values, names and units, in this order of importance.
 
     A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one in seconds is taken,
     otherwise the one with the smallest values, which loses the fewest digits.
@@ -278,20 +278,20 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
 
 
 def _ticks(values: np.ndarray) -> bool:
-    """Return whether values increase as those of a clock, which may overflow or start again."""
+    """Return whether values increase like a clock, which may overflow or restart."""
     steps = np.diff(values[np.isfinite(values)])
     return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
 
 
 def _agree(first: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two clocks differ only by a constant, to half a step."""
+    """Return whether two clocks (s) differ only by a constant, to half a time step."""
     if len(first) != len(other) or not np.isfinite(first).any() or np.isinf(first).any() or np.isinf(other).any():
         return False
     return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Return columns of the usual unit; if none has the role's name, also columns with the name but no unit.
+    """Return columns of the role's usual unit; if none is named for the role, also named columns without a unit.
 
     A DAQ channel comes last, because it may be a monitor of such a column.
     """
@@ -302,12 +302,12 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
 
 
 def _bare(data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Return the columns with the name of a role and without a unit."""
+    """Return the columns named for a role (input or output) that have no unit."""
     return [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Return columns in a machine's units: by name, otherwise by kind (efforts as inputs, motions as outputs)."""
+    """Return columns with other units: by name, otherwise by kind (efforts as inputs, motions as outputs)."""
     named = [s for s in data if s.role == role and s.kind is not None]
     if named:
         return named
@@ -323,7 +323,7 @@ def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
 
 
 def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options: ReadOptions) -> Choice:
-    """Return the only column of a pool, with its unit."""
+    """Return the only candidate column of a quantity, with its unit; ask the user if there are none or several."""
     stem, wanted = OPTIONS[quantity], options.column(quantity)
     if not pool and wanted is not None:
         several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
@@ -347,7 +347,7 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
 
 
 def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
-    """Return a note on columns that an exact name was preferred to; empty if none."""
+    """Return a note on the other candidates if a column was chosen by its exact name; empty otherwise."""
     if chosen.column.name not in column_names(quantity):
         return ""
     others = [
@@ -357,7 +357,7 @@ def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
 
 
 def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> Choice:
-    """Return the column's unit: of the option, of the file, V before a scale, or s for a fractional clock."""
+    """Return the column with its unit: of the option, of the file, V before a scale, or s for a clock without one."""
     stem, name, given = OPTIONS[quantity], seen.column.name, options.unit(quantity)
     if seen.column.form == "stamp" and quantity == "time":
         return Choice(seen.place, name, "s", "dates and hours")
@@ -391,7 +391,7 @@ def _few(quantity: str) -> str:
 
 
 def _own_clock(ports: Sequence[_Seen]) -> Choice:
-    """Return the clock stored with the channels themselves.
+    """Return the clock that the chosen channels carry themselves, as in TDMS files.
 
     Raises:
         _Ask: they have none, or differ.
@@ -409,7 +409,7 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
 
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
-    """Return options that would answer; values that no file holds (scale, rate, unit) in capitals."""
+    """Return command-line options that would solve the problems; unknown values (scale, rate, unit) in capitals."""
     absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
     stated = options.words()
     words = [word for group in by_option(stated) if group[0] not in absent for word in group]
@@ -444,19 +444,19 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
 
 
 def _once(words: Sequence[str]) -> list[str]:
-    """Return options and values, each option once: the first is kept."""
+    """Drop repeated options with their values; the first of each is kept."""
     groups = by_option(words)
     return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
-    """Return a column's name for an option: its number if other columns share its name."""
+    """Return the column's name as the value of an option, or its number if other columns share the name."""
     names = [s.column.name for s in seen]
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 
 
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
-    """Return options that state the time: a column that rises, or a rate."""
+    """Return options that state the time: a rising column, or a rate."""
     pool = pool or [
         s
         for s in free
@@ -475,7 +475,7 @@ def _rises(values: np.ndarray) -> bool:
 
 
 def _values(table: Table, place: int) -> np.ndarray:
-    """Return a column as in the file, shape (T,); empty if it cannot be loaded."""
+    """Load one column as it is in the file, shape (T,); empty if it cannot be loaded."""
     try:
         return table.load([place])[0]
     except BadInput:
@@ -483,14 +483,14 @@ def _values(table: Table, place: int) -> np.ndarray:
 
 
 def _roughness(values: np.ndarray) -> float:
-    """Return the noise of a column relative to its range, from the median of its fifth differences."""
+    """Return the noise of a column relative to its range, from the median of the fifth differences."""
     # five differences almost remove a motion, and amplify noise sixteenfold
     rough = np.abs(np.diff(values[np.isfinite(values)], 5))
     return float(np.median(rough) / max(np.ptp(values), 1e-300)) if len(rough) else np.inf
 
 
 def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
-    """Return whether an input is an amplifier's monitor recorded by a DAQ, by its range or its channel's name."""
+    """Return whether an input is a monitor signal recorded by a DAQ, by its range or its channel's name."""
     values = values[np.isfinite(values)]
     if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
         return False
@@ -520,7 +520,7 @@ def _names(names: Sequence[str]) -> str:
 
 
 def listed(columns: Sequence[Column], most: int = 8) -> str:
-    """Return the names of the first columns of a table, for messages."""
+    """Write the names of the first columns of a table, for messages."""
     names = [column.name for column in columns if column.name]
     beyond = len(dict.fromkeys(names[most:]))
     return (_names(names[:most]) or "none") + (f" and {beyond} more" if beyond else "")

@@ -1,4 +1,4 @@
-"""Open a file, choose its columns, and load them in base units; ask if a file can be read in several ways.
+"""Open a file, choose its columns, and load them in base units; ask the user if a file can be read in several ways.
 
 parts -> possible tables of each -> choices; all successful ones must agree -> (time, input, output), float64
 """
@@ -26,7 +26,7 @@ _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit cou
 
 @dataclass(frozen=True)
 class Loaded:
-    """Columns of one part of a file, in base units.
+    """The chosen columns of one part of a file, loaded in base units.
 
     Attributes:
         table: their source.
@@ -45,16 +45,16 @@ class Loaded:
     rows: np.ndarray | None = None
 
     def place(self, sample: int) -> str:
-        """Return words for a sample."""
+        """Describe a sample for a message: its number and, in a text file, its line."""
         return self.table.place(sample if self.rows is None else int(self.rows[sample]))
 
     def words(self, quantity: str) -> str:
-        """Return how a quantity was read: `'U [V]' in V times 1000`."""
+        """Describe how a quantity was read: `'U [V]' in V times 1000`."""
         scale = self.options.scale(quantity)
         return str(self.chosen[quantity]) + ("" if scale is None else f" times {scale:g}")
 
     def unit(self, quantity: str) -> str:
-        """Return the unit in which a quantity is shown: its own, or mm or V if a scale converts a DAQ's volts."""
+        """Return the unit in which a quantity is shown: the column's, or mm or V if a scale converts volts of a DAQ."""
         unit = self.chosen[quantity].unit
         if self.options.scale(quantity) is None or kind_of(unit) != "voltage":
             return unit
@@ -62,7 +62,7 @@ class Loaded:
 
 
 def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) -> list[Loaded]:
-    """Return the columns of a file, one entry for each part that `split_by` asks for.
+    """Load the wanted columns of a file, one entry for each part that the option `split_by` makes.
 
     Args:
         path: the file.
@@ -86,14 +86,14 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
 
 
 def _ours(table: Table) -> bool:
-    """Return whether a table has the columns of the files that pitp writes, and no other."""
+    """Return whether a table has exactly the three columns of files that pitp writes."""
     ours = [frozenset(column_names(q)) for q in ("time", "voltage", "displacement")]
     names = [c.name for c in table.columns]
     return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
 
 
 def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
-    """Return the first part that holds the columns."""
+    """Return the first part of a file that holds all wanted columns, with the chosen columns."""
     refusals = []
     for tables in parts:
         try:
@@ -104,7 +104,7 @@ def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tup
 
 
 def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
-    """Return the reading on which all readable tables agree.
+    """Return the table and columns on which all possible readings of a file part agree.
 
     Raises:
         BadInput: none can be read, or two differ.
@@ -133,14 +133,14 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
 
 
 def _legible(columns: Sequence[Column]) -> int:
-    """Return a score of how far the names of columns are letters and known words."""
+    """Score how plausible column names are: known words minus strange characters."""
     names = [c.name for c in columns]
     strange = sum(not (c.isalnum() or ord(c) < 128) for name in names for c in name)
     return sum(read_header(name).role is not None for name in names) - strange
 
 
 def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
-    """Return the chosen columns in base units, scaled, with a time from --rate if there is none."""
+    """Load the chosen columns in base units and apply the scales; --rate gives the time if no column does."""
     values, chosen = _values(table, chosen, options)
     count = len(next(iter(values.values()))) if values else 0
     loaded = {}
@@ -171,7 +171,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
 def _values(
     table: Table, chosen: dict[str, Choice], options: ReadOptions
 ) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
-    """Return the chosen columns by place; with --rate an unreadable clock is ignored."""
+    """Load the chosen columns by column index; with --rate, an unreadable clock is ignored."""
     places, clock = [choice.place for choice in chosen.values() if choice.place is not None], chosen.get("time")
     try:
         return dict(zip(places, table.load(places), strict=True)), chosen
@@ -187,7 +187,7 @@ def _values(
 
 
 def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
-    """Return the chosen time; --rate replaces a clock that is missing, empty or without a unit.
+    """Return the choice of the time; --rate replaces a clock that is missing, empty or without a unit.
 
     Raises:
         BadInput: whole numbers without a unit, an empty clock.
@@ -218,7 +218,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
 
 
 def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
-    """Return why a clock without a unit is unsuitable; empty if it counts seconds."""
+    """Return the reason why a clock without a unit cannot be used; empty if it counts seconds."""
     if rate is None:
         return clock_question(time, name) or ""
     step = float(np.median(np.diff(time[np.isfinite(time)])))
@@ -227,7 +227,7 @@ def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
 
 
 def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) -> tuple[dict, np.ndarray | None]:
-    """Return the values without rows that are empty in all columns; the clock shows the gap."""
+    """Drop rows in which all columns are empty; the time then shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
         return loaded, rows
     # an empty input alone must be refused later
@@ -239,7 +239,7 @@ def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) 
 
 
 def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
-    """Return a part for every value of a column, in order of appearance."""
+    """Split the rows by the values of a column, in order of first appearance."""
     places = [k for k, c in enumerate(table.columns) if c.name == name]
     if not places:
         words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""

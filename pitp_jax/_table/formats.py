@@ -1,4 +1,4 @@
-"""File formats: the function that opens each suffix as tables, one for each part (sheet, group).
+"""File formats: for each suffix, the function that opens a file as tables, one for each part (sheet, group).
 
 .csv .txt .dat .tsv .lvm   text, each also .gz
 .xlsx  .tdms               spreadsheets, LabVIEW (extras)
@@ -45,7 +45,7 @@ def _signed(path: Path, sign: bytes, what: str, remedy: str) -> None:
 
 
 def xlsx(path: Path, options: ReadOptions) -> Parts:
-    """Return a workbook's sheets that hold a table of numbers."""
+    """Return the sheets of an Excel workbook that hold a table of numbers."""
     _signed(path, b"PK", "an Excel workbook", "save it as .xlsx or CSV")
     check_archive(path)
     import openpyxl
@@ -73,7 +73,7 @@ def xlsx(path: Path, options: ReadOptions) -> Parts:
 
 
 def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadOptions) -> list[Table]:
-    """Return the numbered rows of one sheet as tables."""
+    """Return every way to read the numbered rows of one sheet as a table."""
     source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
     check_columns(max((len(row) for _, row in filled), default=0), source)
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
@@ -102,7 +102,7 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
 
 
 def _shown(value: Any, decimal: str) -> str:
-    """Return a cell as text; a time span as hours."""
+    """Return a cell as text; a time span as hours, minutes and seconds."""
     if isinstance(value, timedelta):
         minutes, seconds = divmod(value.total_seconds(), 60)
         return f"{minutes // 60:02.0f}:{minutes % 60:02.0f}:{seconds:09.6f}"
@@ -112,13 +112,13 @@ def _shown(value: Any, decimal: str) -> str:
 
 
 def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
-    """Return whether the numbers of a sheet are texts with a decimal comma."""
+    """Return whether a sheet stores most numbers as texts with a decimal comma."""
     cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
     return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)
 
 
 def tdms(path: Path, options: ReadOptions) -> Parts:
-    """Return the channels of a LabVIEW file by group, each with the clock of its waveform."""
+    """Return the channels of a LabVIEW TDMS file by group, each with its own clock if it is a waveform."""
     _signed(path, b"TDSm", "a TDMS file", "export it from LabVIEW again")
     from nptdms import TdmsFile
 
@@ -141,7 +141,7 @@ def _waveform(properties: Any) -> tuple[float, float]:
 
 
 def npz(path: Path, options: ReadOptions) -> Parts:
-    """Return the arrays of a NumPy archive; object arrays are refused, so that no stored code is executed."""
+    """Return the arrays of a NumPy archive; object arrays are refused, because they could execute code."""
     _signed(path, b"PK", "a NumPy archive", "save it with numpy.savez")
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
@@ -151,7 +151,7 @@ def npz(path: Path, options: ReadOptions) -> Parts:
 
 
 def _npy(archive: zipfile.ZipFile, name: str) -> np.ndarray | Callable[[], np.ndarray]:
-    """Return one array of an archive, whose header may not promise more data than the member holds.
+    """Read one array of a NumPy archive; refuse a header that promises more data than the archive member holds.
 
     An error is reported only when the column is asked for.
     """
@@ -201,7 +201,7 @@ def mat(path: Path, options: ReadOptions) -> Parts:
 
 
 def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndarray]]:
-    """Yield fields of structs by place, and data of ControlDesk and Simulink by the name stored beside them."""
+    """Yield the fields of structs by name; data of ControlDesk and Simulink by the name stored beside them."""
     for k, one in enumerate(structs.reshape(-1)):
         fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
         # X(k).Data beside X(k).Name: the name is a value, not a field
@@ -225,7 +225,7 @@ def _vectors(variables: dict[str, np.ndarray]) -> list[str]:
 
 
 def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: str = "") -> Table:
-    """Return variables as a table; a list of units is assigned if each fits the name of its variable."""
+    """Return variables as a table, with the units of a `units` variable if each unit fits the variable's name."""
     text = next((v for n, v in variables.items() if n.lower() in ("unit", "units", "einheiten")), None)
     words = " ".join(map(str, text.reshape(-1))) if text is not None and text.dtype.kind == "U" else ""
     said = re.split(r"[\s,;]+", words.strip())
@@ -236,13 +236,13 @@ def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: st
 
 
 def _fitting(name: str, unit: str) -> bool:
-    """Return whether a unit fits a variable's name: time units only for times."""
+    """Return whether a unit fits a variable's name: units of time fit times only."""
     role, kind = read_header(name).role, kind_of(spelt(unit))
     return role is None or kind is None or (role == "time") == (kind == "time")
 
 
 def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
-    """Return the datasets of an HDF5 file at the root and in groups below; only hard links are followed."""
+    """Return the datasets of an HDF5 file, at the root and in groups; only hard links are followed."""
     source = cleaned(path)
     with h5py.File(path, "r") as file:
         groups = _datasets(file, source)
@@ -266,7 +266,7 @@ def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
 
 
 def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
-    """Return the paths of the datasets in a group and in those below it, by group."""
+    """Return the paths of all datasets in a group and its subgroups, by group."""
     check_columns(len(group), source)
     # by group, so that the same names in two groups stay apart
     groups: dict[str, list[str]] = {above: []}
@@ -284,7 +284,7 @@ def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
 
 
 def _kind(group: Any, name: str, source: str):
-    """Return Dataset or Group of a hard link; refuse a link that leads elsewhere."""
+    """Return the class (Dataset or Group) behind a hard link; refuse a link that leads elsewhere."""
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise BadInput(
@@ -301,13 +301,13 @@ def _kind(group: Any, name: str, source: str):
 
 
 def _about(dataset: Any) -> tuple[Any, tuple[int, ...], tuple[str, ...]]:
-    """Return the unit, the shape and the fields of a dataset."""
+    """Return the unit, shape and field names of a dataset."""
     unit = next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
     return unit, dataset.shape or (), dataset.dtype.names or ()
 
 
 def _dataset(path: Path, where: str, source: str) -> np.ndarray:
-    """Return a dataset as stored; MATLAB v7.3 writes text as codes and empty arrays as their shape."""
+    """Load a dataset; MATLAB v7.3's text and cells become an empty array, because they hold no numbers."""
     with h5py.File(path, "r") as file:
         dataset: Any = file[where]
         kind = dataset.attrs.get("MATLAB_class", b"")
@@ -336,7 +336,7 @@ SUFFIXES = (*(f"{suffix}.gz" for suffix in _TEXT), *_TEXT, *_STORED)
 
 
 def split_suffix(name: str) -> tuple[str, str]:
-    """Split a file name into (stem, known suffix); the suffix is empty if it is not one of a record file.
+    """Split a file name into stem and suffix; the suffix is empty if it is not one of a recording file.
 
     Capital suffixes (`.CSV`, `.MAT`) count too.
     """
@@ -347,7 +347,7 @@ def split_suffix(name: str) -> tuple[str, str]:
 
 
 def open_parts(path: Path, options: ReadOptions) -> Parts:
-    """Open every part of a file, and every table that a part may be; errors of libraries become BadInput.
+    """Open every part of a file as the tables that it may be; errors of file libraries become BadInput.
 
     Raises:
         BadInput: unknown suffix, or the file is not what its suffix says.

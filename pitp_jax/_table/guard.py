@@ -1,4 +1,4 @@
-"""Guard against hostile files: sizes are limited before reading, and errors of libraries become one line.
+"""Guard against hostile files: limit sizes before reading, and turn library errors into one line.
 
 regular file of at most 1 GiB,    unfolded bytes <= min(200 size, max(256 MiB, 20 size)),    4096 columns, 1e7 rows
 """
@@ -27,7 +27,7 @@ _PIECE = 1 << 20
 
 
 def check_columns(count: int, source: str) -> None:
-    """Refuse a header of unreasonable size.
+    """Refuse a file with more than 4096 columns.
 
     Raises:
         BadInput: with the count.
@@ -37,7 +37,7 @@ def check_columns(count: int, source: str) -> None:
 
 
 def check_count(count: int, source: str) -> None:
-    """Refuse more samples than the package can use.
+    """Refuse a file with more than 10 million samples.
 
     Raises:
         BadInput: with the count.
@@ -49,7 +49,7 @@ def check_count(count: int, source: str) -> None:
 
 
 def check_unfolded(unfolded: int, size: int, source: str) -> None:
-    """Refuse an archive that unfolds to more than the limit.
+    """Refuse an archive whose unpacked size exceeds the limit.
 
     Raises:
         BadInput: with both sizes.
@@ -62,7 +62,7 @@ def check_unfolded(unfolded: int, size: int, source: str) -> None:
 
 
 def file_bytes(path: Path, count: int = -1) -> bytes:
-    """Return the content of a regular file, or its first `count` bytes.
+    """Read a regular file, or only its first `count` bytes.
 
     Raises:
         BadInput: it cannot be read, is a device or a pipe, is empty, or of unreasonable size.
@@ -87,7 +87,7 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
 
 
 def as_column(values: Any, column: str, source: str) -> np.ndarray:
-    """Return one stored variable as a float64 column; row and column vectors are both accepted.
+    """Convert one stored variable to a float64 column; row and column vectors are both accepted.
 
     Args:
         values: array as stored, shape (T,), (T, 1), (1, T) or any with one axis longer than 1.
@@ -133,7 +133,7 @@ def gunzip(data: bytes, source: str) -> bytes:
 
 
 def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
-    """Decompress one zlib stream, an element of a MATLAB file.
+    """Decompress one zlib stream, as an element of a MATLAB file.
 
     Args:
         data: the compressed bytes.
@@ -159,7 +159,7 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
 
 
 def check_archive(path: Path) -> None:
-    """Refuse a zip archive (`.npz`, `.xlsx`) that unfolds to too much; no member is read past its declared size.
+    """Refuse a zip archive (`.npz`, `.xlsx`) whose members declare too large a size.
 
     Raises:
         BadInput: with the sizes, or not a zip archive.
@@ -176,7 +176,7 @@ def check_archive(path: Path) -> None:
 
 
 def guarded(source: str, kind: str, function: Callable, *arguments):
-    """Call a library on a file, and turn any error into one line.
+    """Call a function that opens a file with a library, and turn any error into one line.
 
     Raises:
         BadInput: the library's reason, shortened.

@@ -1,4 +1,4 @@
-"""Find the names, the units and the first row of numbers in rows of cells.
+"""Find the column names, the units and the first row of numbers among the first rows of a table.
 
 rows -> columns that are numbers or hours -> first of several rows of numbers -> units row, names above it
 
@@ -34,10 +34,10 @@ _PAIR = re.compile(r"(?:unit of )?(\w[\w ]*?)\s*(?:\bin\b|[=:/]|[(\[])\s*([^\s\d
 
 
 class NoTable(BadInput):
-    """A text without two columns of numbers."""
+    """Error: a text file does not hold two columns of numbers."""
 
     def __init__(self, source: str):
-        """Compose the message for a file."""
+        """Write the message for a file."""
         super().__init__(
             f"{source}: holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, or give "
             "--separator and --header-line"
@@ -46,7 +46,7 @@ class NoTable(BadInput):
 
 @dataclass(frozen=True)
 class Rows:
-    """The first rows of a table.
+    """The first rows of a text table, split into cells, with line numbers.
 
     Attributes:
         cells: of every row, stripped.
@@ -61,7 +61,7 @@ class Rows:
 
 @dataclass(frozen=True)
 class Layout:
-    """The layout of a table in a text.
+    """The layout of a table in a text: separator, decimal mark, columns, first row of numbers.
 
     Attributes:
         separator: between cells; a blank stands for any number of them.
@@ -83,14 +83,14 @@ class Layout:
 
 
 def is_number(cell: str, decimal: str) -> bool:
-    """Return whether a cell is a number, or empty or nan."""
+    """Return whether a cell holds a number, is empty or says nan."""
     return bool(_NUMBER[decimal].match(cell)) or cell.lower() in _WORDS
 
 
 def layouts(
     rows: Rows, separator: str, decimal: str, source: str, header_line: int | None, units_line: str | None
 ) -> list[Layout]:
-    """Return every way to read the head of a table, the likeliest first.
+    """Return every possible reading of the rows above the numbers (names, units), the likeliest first.
 
     Args:
         rows: the first rows.
@@ -139,7 +139,7 @@ def layouts(
 
 
 def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
-    """Return the usual number of cells in rows that hold numbers."""
+    """Return the most common number of cells among rows that hold numbers."""
     # half of the cells are numbers: one or two columns may be words
     lengths = Counter(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
     return lengths.most_common(1)[0][0] if lengths else 0
@@ -150,14 +150,14 @@ def _count(row: Sequence[str], decimal: str) -> int:
 
 
 def _settings(block: Sequence[Sequence[str]]) -> int:
-    """Return how many rows at the top are settings with a key and numbers (`BlockSize,400,400`)."""
+    """Return how many of the first rows are settings with a key and numbers (`BlockSize,400,400`)."""
     # settings have their key in the first cell, rows of numbers leave it empty
     keyed = next((k for k, row in enumerate(block) if not row[0]), 0)
     return keyed if keyed > 2 and not any(row[0] for row in block[keyed:]) else 0
 
 
 def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str]:
-    """Return the form of each column (number, stamp or text), by most of its cells."""
+    """Return the form of each column ("number", "stamp" or "text"), by most of its cells."""
     forms = []
     for k in range(width):
         filled = [row[k] for row in block if row[k]]
@@ -169,7 +169,7 @@ def _forms(block: Sequence[Sequence[str]], width: int, decimal: str) -> list[str
 
 
 def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], decimal: str) -> int | None:
-    """Return the first row of numbers that is followed by another one; a single one (`1000,,`) is a setting."""
+    """Return the index of the first row of numbers; a single row of numbers above names (`1000,,`) is a setting."""
 
     def holds(k: int) -> bool:
         row = rows.cells[k]
@@ -195,14 +195,14 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
 
 
 def _counts_samples(row: Sequence[str]) -> bool:
-    """Return whether a row states the length of every channel (`,400,400`)."""
+    """Return whether a row states the number of samples of every channel (`,400,400`)."""
     return not row[0] and len(trimmed(row)) > 2 and len(set(filter(None, row))) == 1 and max(row).isdecimal()
 
 
 def _units_row(
     rows: Rows, first: int, widths: range, units_line: str | None, source: str
 ) -> tuple[list[str], list[int]]:
-    """Return the units below the names, and the rows above the numbers that could be names, the nearest first."""
+    """Return the units of the columns, and the indices of rows that may hold the column names, the nearest first."""
     fits = [k for k in range(first) if _fits(rows, k, widths)]
     if units_line == "none":
         return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
@@ -227,7 +227,7 @@ def _units_row(
 
 
 def _fits(rows: Rows, k: int, widths: range) -> bool:
-    """Return whether row k has a cell for each column of numbers; R omits the name of the first column."""
+    """Return whether row k can name the columns: it has one cell for each (R omits the name of the first column)."""
     row, below = rows.cells[k], rows.cells[k + 1]
     count = len(trimmed(row))
     if count < 2 or (rows.commented[k] and row[0].endswith((":", "="))):  # `# rows: 400` is a setting
@@ -239,17 +239,17 @@ def _fits(rows: Rows, k: int, widths: range) -> bool:
 
 
 def _extra(row: Sequence[str], width: int) -> bool:
-    """Return whether the cells beyond the columns are settings: behind an empty cell, or with numbers."""
+    """Return whether the cells to the right of the columns are settings: after an empty cell, or numbers."""
     return not all(trimmed(row)[: width + 1]) or any(_numeric([cell]) for cell in row[width:] if cell)
 
 
 def _numeric(row: Sequence[str]) -> bool:
-    """Return whether a row holds numbers or hours, which are never names."""
+    """Return whether a row holds numbers or times of day, so that it cannot hold names."""
     return any(cell and (is_number(cell, ".") or is_number(cell, ",") or is_stamp(cell)) for cell in row)
 
 
 def _is_units(row: Sequence[str]) -> bool:
-    """Return whether a row is one of units: most cells are units, the others short, none a number except 1."""
+    """Return whether a row holds units: most cells are units, the others are short, and none is a number except 1."""
     if _numeric([cell for cell in row if cell != "1"]):
         return False
     cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and cell != "1"]
@@ -259,12 +259,12 @@ def _is_units(row: Sequence[str]) -> bool:
 
 
 def _of_unit(cell: str) -> str:
-    """Return a cell of a units row without its key, for example `kV` of `Unit: kV`."""
+    """Remove the key of a cell in a units row: `kV` of `Unit: kV`."""
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 
 def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int, source: str) -> Layout:
-    """Return the layout in which row k names the columns."""
+    """Return the layout in which row k holds the column names."""
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
         names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells to the right of the header ignored"]
@@ -296,7 +296,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
 
 
 def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range, source: str) -> Layout:
-    """Return the layout without a header; refuse it if the row above the numbers looks like one."""
+    """Return the layout with columns numbered from 1; refuse it if the row above the numbers looks like a header."""
     last = [k for k in range(first) if not rows.commented[k]][-1:]
     if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:
         count = len(trimmed(rows.cells[last[0]]))
@@ -325,7 +325,7 @@ def _stem(name: str) -> str:
 
 
 def trimmed(row: Sequence[str]) -> list[str]:
-    """Return the row without empty cells at its end."""
+    """Drop the empty cells at the end of a row."""
     kept = list(row)
     while kept and not kept[-1]:
         kept.pop()
@@ -333,7 +333,7 @@ def trimmed(row: Sequence[str]) -> list[str]:
 
 
 def _spoken(rows: Rows, first: int) -> dict[str, str]:
-    """Return units from comments that consist only of pairs: `t in s, u in V`."""
+    """Return units by column name from comments that consist only of pairs: `t in s, u in V`."""
     said = {}
     for cells, commented in zip(rows.cells[:first], rows.commented, strict=False):
         for between in (",", " "):  # cells were cut at commas or at blanks

@@ -1,4 +1,4 @@
-"""Hold an input that is written only in some rows until it is written again.
+"""Hold an input constant between the rows in which it is written.
 
     u_k = 1 / (t_{k+1} - t_k) int_{t_k}^{t_{k+1}} u(s) ds        u(s): the value written last at or before s
 
@@ -13,7 +13,7 @@ _OWN = 0.1  # fraction of rows with only the input, and with only the output, th
 
 
 def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.ndarray:
-    """Return the means of held values over intervals.
+    """Return the mean of a held signal over each interval.
 
     Args:
         time: time of each value in s, increasing, shape (T,).
@@ -31,7 +31,7 @@ def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.n
 
 
 def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], np.ndarray | None, float]:
-    """Return the columns on the rows of the output, with a sparse input held there.
+    """Return the rows in which the output is written, with a sparsely written input held constant between its values.
 
     Args:
         loaded: by quantity, nan where a cell is empty.
@@ -58,7 +58,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
 
 
 def _held(written: np.ndarray, values: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Return the held input of every row: its mean up to the next row if both clocks increase."""
+    """Return the held input of every output row: its mean until the next row if both clocks increase."""
     if (np.diff(time) > 0).all() and (np.diff(written) > 0).all():
         ends = np.append(time, 2 * time[-1] - time[-2])
         return mean_of_held(written, values, ends)

@@ -28,7 +28,7 @@ _TOGETHER = 6  # files that hold one record
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:
-    """Return every part of a file, with the columns of the files that `join` names added.
+    """Open every part of a file, and add the columns of the files that the option `join` names.
 
     Raises:
         BadInput: a file cannot be read, or rows do not belong together.
@@ -40,7 +40,7 @@ def joined_parts(path: Path, options: ReadOptions) -> Parts:
 
 
 def _opened(path: Path, options: ReadOptions) -> Parts:
-    """Return every part of a file, which may be a single column of numbers."""
+    """Open every part of a file; a file may also hold a single column of numbers."""
     try:
         return open_parts(path, replace(options, sheet=None, split_by=None))
     except NoTable:
@@ -51,7 +51,7 @@ def _opened(path: Path, options: ReadOptions) -> Parts:
 
 
 def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
-    """Join tables: rows side by side, or in turn if every table has its own clock.
+    """Join tables: their rows side by side, or sorted by time if every table has its own clock.
 
     Raises:
         BadInput: the rows do not belong together.
@@ -74,7 +74,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
 
 
 def _rows(table: Table) -> int:
-    """Return the number of rows of a table, by its first column of numbers; 0 if it has none."""
+    """Return the number of rows of a table, counted in its first column of numbers; 0 if it has none."""
     for place in range(len(table.columns)):
         with suppress(BadInput):
             return len(table.load([place])[0])
@@ -82,7 +82,7 @@ def _rows(table: Table) -> int:
 
 
 def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
-    """Return the place of a table's clock and its values in s, or None."""
+    """Return the index of a table's time column and its values in s, or None."""
     try:
         choice = choose_columns(table, options, ("time",))["time"]
     except BadInput:
@@ -93,7 +93,7 @@ def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
 
 
 def _agree(first: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two clocks are the same, to a tenth of a step."""
+    """Return whether two clocks (s) are equal, to a tenth of a time step."""
     if len(first) != len(other) or np.isinf(first).any() or np.isinf(other).any():
         return False
     return len(first) < 2 or float(np.nanmax(np.abs(first - other))) <= 0.1 * float(np.nanmedian(np.diff(first)))
@@ -110,7 +110,7 @@ def _side_by_side(tables: Sequence[Table], dropped: dict[int, int]) -> Table:
 
 
 def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) -> Table:
-    """Return the rows of all tables in order of time; a cell is empty if its table has no row then."""
+    """Merge the rows of all tables in order of time; cells are empty where a table has no row at that time."""
     columns, owners = _columns(tables, {k: place for k, (place, _) in enumerate(clocks)})
     time = np.concatenate([values for _, values in clocks])
     order = np.argsort(time, kind="stable")
@@ -136,7 +136,7 @@ def _form(tables: Sequence[Table]) -> str:
 
 
 def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Column, ...], list[tuple[Table, int]]]:
-    """Return the columns of all tables, and their origins; repeated names get their file's name in front.
+    """List the columns of all joined tables, and the table of each; repeated names get the file's name as a prefix.
 
     Args:
         tables: to be joined.
@@ -159,7 +159,7 @@ def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Co
 
 
 def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Sequence[str]) -> Refused | None:
-    """Return the refusal of files that together hold a record, with the command that joins them, or None.
+    """Return a refusal that proposes how to join files which only together hold time, input and output, or None.
 
     Args:
         files: unreadable files of one call.
@@ -190,7 +190,7 @@ def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Seque
 
 
 def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options with which joined tables are a record; None if they are not, or if one is complete alone."""
+    """Return the options with which joined tables can be read; None if they cannot, or if one of them is complete."""
     alone = [_missing(table, options, quantities) for table in tables]
     if any(words is None for words in alone):
         return None
@@ -206,7 +206,7 @@ def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence
 
 
 def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the reading options that would complete a table (empty if none would); None if it is complete."""
+    """Return the options that would complete a table (empty if none would); None if it is complete."""
     try:
         choose_columns(table, options, quantities)
     except BadInput as error:

@@ -12,7 +12,7 @@ _DEEPEST, _ELEMENTS = 4, 20_000
 
 
 def flat(data: bytes, source: str) -> io.BytesIO:
-    """Return the file with its elements decompressed, none nested deeper than a struct of vectors.
+    """Decompress all elements of a MATLAB file; refuse variables nested deeper than a struct of vectors.
 
     Args:
         data: the whole file.
@@ -42,7 +42,7 @@ def flat(data: bytes, source: str) -> io.BytesIO:
 
 
 def _check_nesting(element: memoryview, order: str, source: str, budget: list[int], depth: int = 0) -> None:
-    """Refuse cells in structs in cells, because SciPy's reader calls itself for each."""
+    """Refuse deeply nested cells and structs, because SciPy's reader calls itself for each level."""
     budget[0] -= 1
     if depth > _DEEPEST or budget[0] < 0:
         raise BadInput(

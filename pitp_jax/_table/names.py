@@ -41,7 +41,7 @@ _PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  
 
 @dataclass(frozen=True)
 class Header:
-    """A parsed column name.
+    """A column name, parsed into quantity, unit and role.
 
     Attributes:
         stem: the measured quantity.
@@ -59,22 +59,22 @@ class Header:
 
     @property
     def roles(self) -> list[str]:
-        """Return the roles that any of its words indicates."""
+        """Return every role (time, input, output) that a word of the name indicates."""
         return [role for role, known in _WORDS.items() if self.words & known]
 
     @property
     def clock_only(self) -> bool:
-        """Return whether the name is only that of a clock: `time`, but not `cycle time` or `latency`."""
+        """Return whether the name can only be that of a clock: `time`, but not `cycle time` or `latency`."""
         return bool(self.words) and self.words <= _WORDS["time"]
 
     @property
     def port_only(self) -> bool:
-        """Return whether only the words input or output indicate the role."""
+        """Return whether only words such as input or output, which may mean a DAQ's port, indicate the role."""
         return self.role is not None and (self.words & _WORDS[self.role]) <= _PORTS
 
 
 def read_header(text: str) -> Header:
-    """Parse a header: `Weg [µm]`, `U/V`, `time_s`, `Time in ms`, `Field V/um`."""
+    """Parse a column header: `Weg [µm]`, `U/V`, `time_s`, `Time in ms`, `Field V/um`."""
     stem, unit, unknown = _parted(plain(text))
     words = _words(stem)
     if unit is not None:  # v may be a voltage or a velocity, t a time or a temperature

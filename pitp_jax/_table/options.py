@@ -1,4 +1,4 @@
-"""Options of reading that the user states: columns, units, scales, rate, and the format of text.
+"""Hold the options of reading that the user states: columns, units, scales, rate, and the format of text.
 
 u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
 
@@ -25,13 +25,13 @@ _RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
 
 
 def option_of(name: str) -> str:
-    """Return the long option of a name of `ReadOptions`, without its dashes."""
+    """Return the command-line option for a field of `ReadOptions`, without dashes."""
     return _RANGE.get(name, name.replace("_", "-"))
 
 
 @dataclass(frozen=True)
 class ReadOptions:
-    """Options stated by the user; None leaves the decision to the file.
+    """Options of reading that the user states; None lets the file decide.
 
     Attributes:
         time_column, input_column, output_column: exact headers, or numbers of columns from 1.
@@ -125,24 +125,24 @@ class ReadOptions:
         return problems
 
     def column(self, quantity: str) -> str | None:
-        """Return the requested header."""
+        """Return the header that the user states for a quantity, or None."""
         return getattr(self, f"{OPTIONS[quantity]}_column")
 
     def unit(self, quantity: str) -> str | None:
-        """Return the requested unit."""
+        """Return the unit that the user states for a quantity, or None."""
         return getattr(self, f"{OPTIONS[quantity]}_unit")
 
     def scale(self, quantity: str) -> float | None:
-        """Return the requested scale; None for the time."""
+        """Return the scale that the user states for input or output; None for the time."""
         return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
 
     def said(self) -> dict[str, Any]:
-        """Return the options that are not None by their long names; a joint becomes its two columns."""
+        """Return the stated options by their command-line names, without those that are None and without `joint`."""
         values = {option_of(f.name): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         return {name: value for name, value in values.items() if value is not None}
 
     def words(self) -> list[str]:
-        """Return the options as words of a command line."""
+        """Return the stated options as words of a command line."""
         return [word for name, value in self.said().items() for word in (f"--{name}", *_words(value))]
 
 
@@ -153,7 +153,7 @@ def _words(value: Any) -> list[str]:
 
 
 def folder_file(said: dict[str, dict[str, Any]]) -> str:
-    """Return the text of a `pitp.toml` that states these options, once if all files share them.
+    """Write the text of a `pitp.toml` that states these options, in one section if all files share them.
 
     Args:
         said: options by file name.
@@ -170,7 +170,7 @@ def folder_file(said: dict[str, dict[str, Any]]) -> str:
 
 
 def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
-    """Return the options with those of `pitp.toml` beside the file; options of the caller take precedence.
+    """Complete the options by those of `pitp.toml` beside the file; options of the caller take precedence.
 
     Raises:
         BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
@@ -198,7 +198,7 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
 
 
 def joined_in(path: Path) -> tuple[str, ...]:
-    """Return the files that `join` in `pitp.toml` joins to a file; empty if there are none."""
+    """Return the files that `join` in the `pitp.toml` beside a file adds to it; empty without such an option."""
     try:
         names = _of_file(path).get("join", ())
     except BadInput:  # refused when the file is read
@@ -208,13 +208,13 @@ def joined_in(path: Path) -> tuple[str, ...]:
 
 
 def joints_in(path: Path) -> list[str]:
-    """Return the names of the joints that `each` in `pitp.toml` gives to a file, or to the files of a folder."""
+    """Return the robot joints that `each` in `pitp.toml` names for a file, or for all files of a folder."""
     files = sorted(path.iterdir()) if path.is_dir() else [path]
     return list(dict.fromkeys(name for file in files for name in joints_of(_of_file(file).get("each", {}))))
 
 
 def joints_of(each: Any) -> dict[str, tuple[str, str]]:
-    """Return the input and the output column of every joint.
+    """Return the input and output column of every robot joint, by joint name.
 
     Args:
         each: a list of NAME=INPUT,OUTPUT, or a table of NAME = "INPUT,OUTPUT" or NAME = [INPUT, OUTPUT].
@@ -237,7 +237,7 @@ def joints_of(each: Any) -> dict[str, tuple[str, str]]:
 
 
 def _of_file(path: Path) -> dict[str, Any]:
-    """Return the options of `pitp.toml` beside a file, by the names of `ReadOptions` and `each`."""
+    """Read the options for a file from the `pitp.toml` beside it, by the names of `ReadOptions` and `each`."""
     file = path.parent / FOLDER_FILE
     if not file.is_file():
         return {}

@@ -1,4 +1,4 @@
-"""Refusals of files: the problem, the content of the file, and the complete command to try.
+"""Refuse files with the problem, the content of the file, and the complete command to try.
 
 <file>: <problems> (columns here: ...); try: pitp check FILE --option VALUE ...        at most 600 characters
 """
@@ -13,7 +13,7 @@ _LONGEST, _PROGRAM = 600, len("pitp: error: ") + 2
 
 
 class Refused(BadInput):
-    """A file that cannot be read as it is, with the options that would solve the problem.
+    """Error: a file cannot be read as it is; it holds the options that would solve the problem.
 
     Attributes:
         source: the file.
@@ -23,7 +23,7 @@ class Refused(BadInput):
     """
 
     def __init__(self, source: str, why: str, options: Sequence[str] = (), aside: str = ""):
-        """Compose the message; arguments as the attributes."""
+        """Write the message; the arguments are the attributes."""
         super().__init__(composed([source], why, options, aside, [source]))
         self.source, self.why, self.options, self.aside = source, why, tuple(options), aside
 
@@ -31,7 +31,7 @@ class Refused(BadInput):
 def composed(
     sources: Sequence[str], why: str, options: Sequence[str], aside: str, paths: Sequence[str], before: str = ""
 ) -> str:
-    """Return one line of at most 600 characters; the problem is shortened before the command.
+    """Write a refusal in one line of at most 600 characters; the problem is shortened before the command.
 
     Args:
         sources: the files concerned.
@@ -53,7 +53,7 @@ def composed(
 
 
 def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) -> str:
-    """Return all refusals in one line: equal ones once, and one command for the first kind that has one.
+    """Write all refusals in one line: equal ones once, with one command for the first kind that has one.
 
     Args:
         refusals: of single files.

@@ -1,4 +1,4 @@
-"""Logs of robots and data frames: rosbag2 folders, MCAP and Parquet files as columns (extra `robot`).
+"""Read logs of robots and data frames as columns: rosbag2 folders, MCAP and Parquet files (extra `robot`).
 
 message of a topic -> /topic.field[i], in SI    rows: the messages of the output's topic
 u(t) = the last value sent at or before t        (a command holds until the next one)
@@ -31,12 +31,12 @@ _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messag
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a folder is one recording of rosbag2."""
+    """Return whether a folder is a rosbag2 recording."""
     return path.is_dir() and (path / "metadata.yaml").is_file()
 
 
 def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """Return the columns of a Parquet file: dates as seconds, lists as `name[1]`, ..., units from the metadata."""
+    """Return the columns of a Parquet file: dates in seconds, lists as `name[1]`, ..., units from the metadata."""
     if not file_bytes(path, 4).startswith(b"PAR1"):
         raise BadInput(f"{cleaned(path)}: is not a Parquet file although its suffix says so; write it again")
     import pandas as pd  # imported here, because `pitp info` reads no table
@@ -68,7 +68,7 @@ def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
 
 
 def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
-    """Return how many numbers each cell of a column of lists holds; 0 if none or too many."""
+    """Return how many numbers each cell of a list column holds; 0 if it holds none or too many."""
     from pyarrow import types
 
     listed = types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type)
@@ -79,7 +79,7 @@ def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
 
 
 def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
-    """Return the numbers of a column or of one list entry; nan if empty; dates and spans in seconds."""
+    """Return the numbers of a column, or of one list entry; nan where empty, dates and time spans in seconds."""
     import pandas as pd
 
     if entry is not None:
@@ -92,7 +92,7 @@ def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
 
 
 def bag(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """Return a rosbag2 folder or an MCAP file as a table: a column for every number of every topic, and a clock."""
+    """Return a rosbag2 folder or MCAP file as a table: a clock, and a column for every number of every topic."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore
 
@@ -111,7 +111,7 @@ def bag(path: Path, options: ReadOptions) -> list[list[Table]]:
 
 
 def _wanted(topic: str, options: ReadOptions) -> bool:
-    """Return whether a topic is read: those of the stated input and output, otherwise all but ROS's own."""
+    """Return whether to read a topic: those of the stated input and output, otherwise all except ROS's own."""
     said = (options.input_column, options.output_column)
     if all(said):
         return any(str(name).startswith(f"{topic}.") for name in said)
@@ -119,13 +119,13 @@ def _wanted(topic: str, options: ReadOptions) -> bool:
 
 
 def _stamp(message: Any) -> float:
-    """Return the time in a message's header, s; nan if it has none or it was never set."""
+    """Return the time stamp in a message's header, s; nan if it is missing or was never set."""
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     return np.nan if stamp is None or not (stamp.sec or stamp.nanosec) else stamp.sec + 1e-9 * stamp.nanosec
 
 
 def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
-    """Yield every number in a message with its place; headers, layouts and long arrays are skipped."""
+    """Yield every number in a message with its path; headers, layouts and long arrays are skipped."""
     if isinstance(value, (np.ndarray, list)):
         for k, entry in enumerate(value if len(value) <= _LONGEST else ()):
             yield from _numbers(entry, f"{place}[{k}]")
@@ -138,7 +138,7 @@ def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
 
 
 def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float]]]]) -> Table:
-    """Return topics as one table, whose rows are the messages of the last column asked for (the output)."""
+    """Join topics in one table; its rows are the messages of the last column that is loaded (the output)."""
     import pandas as pd
 
     # one clock for all topics: two would shift command against response

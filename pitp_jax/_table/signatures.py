@@ -1,4 +1,4 @@
-"""Text formats of programs that sign their files; the signature determines the rest of the layout.
+"""Read the layout of text files that name the program that wrote them.
 
 LabVIEW Measurement     separator, decimal mark, units and names by its own keys
 TwinCAT Scope           keys in every second cell, a clock beside every channel
@@ -16,7 +16,7 @@ _NUMBER = re.compile(r"[\d.,-]+")
 
 
 def labview(lines: Sequence[str], source: str) -> Layout | None:
-    """Return the layout of LabVIEW's measurement files (.lvm), or None.
+    """Return the layout of a LabVIEW measurement file (.lvm); None for any other text.
 
     Raises:
         BadInput: no names below its last header, or a clock for every channel.
@@ -52,7 +52,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
 
 
 def twincat(lines: Sequence[str], source: str) -> Layout | None:
-    """Return the layout of TwinCAT Scope exports (`key value key value`, `clock value clock value`), or None."""
+    """Return the layout of a TwinCAT Scope export (`key value key value`, `clock value clock value`), or None."""
     rows = [[cell.strip() for cell in line.split("\t")] for line in lines]
     keyed = {row[0].lower(): row for row in rows if len(row) > 1 and len(set(row[0::2])) == 1 and not row[0].isdigit()}
     names, units = keyed.get("name"), keyed.get("unit")

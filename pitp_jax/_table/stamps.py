@@ -1,4 +1,4 @@
-"""Convert dates and hours to seconds.
+"""Convert dates and times of day to seconds.
 
 t = date + hour in s since 1970 if there is a date; otherwise s since midnight, plus 86400 s at every midnight passed
 """
@@ -18,12 +18,12 @@ _STAMP = re.compile(rf"(({_DATE})[T ]+)?\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?( 
 
 
 def is_stamp(cell: str) -> bool:
-    """Return whether a cell is an hour, with or without its date."""
+    """Return whether a cell holds a time of day, with or without a date."""
     return bool(_STAMP.match(cell))
 
 
 def seconds(stamps: Sequence[str]) -> np.ndarray:
-    """Return times in s, shape (T,), nan where a stamp is empty.
+    """Convert time stamps to seconds, shape (T,); nan where a cell is empty.
 
     Args:
         stamps: `2026-11-23 10:00:00.123`, `23.11.2026 10:00:00,123` or `10:00:00.123`.
@@ -51,7 +51,7 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
 
 
 def _dates(series, order: str) -> np.ndarray | None:
-    """Return dates in s, or None if a date is not of this order."""
+    """Convert dates to seconds; return None if a date does not fit this order of day, month and year."""
     import pandas as pd
 
     parts = series.str.extract(rf"^({_DATE})(.*)$")
@@ -70,7 +70,7 @@ def _dates(series, order: str) -> np.ndarray | None:
 
 
 def _iso(text: str, order: str) -> str:
-    """Return a date as 2026-11-23; empty if it is not of this order."""
+    """Write a date as 2026-11-23; empty if it does not fit this order of day, month and year."""
     try:
         if re.search("[A-Za-z]", text):  # 23-Nov-2026
             return str(dateutil.parser.parse(text).date())
@@ -85,7 +85,7 @@ def _iso(text: str, order: str) -> str:
 
 
 def _hours(series) -> np.ndarray:
-    """Return hours of a day in s, continued over midnight; refuse `10:01`, which may be minutes and seconds."""
+    """Convert times of day to seconds, continued over midnight; refuse `10:01`, which may be minutes and seconds."""
     # hours above 24 are spans of time and continue
     parts = series.str.split(":", expand=True).astype(np.float64).to_numpy()
     if parts.shape[1] == 2:
@@ -94,5 +94,5 @@ def _hours(series) -> np.ndarray:
 
 
 def over_midnight(values: np.ndarray) -> np.ndarray:
-    """Return seconds of the day, continued after midnight."""
+    """Continue seconds of the day after midnight, so that they do not restart at 0."""
     return values + _DAY * np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY / 2)

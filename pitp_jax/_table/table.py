@@ -1,4 +1,4 @@
-"""A table: the common form of every file format, before columns are chosen and units are read.
+"""Define a table: the common form of all file formats, before columns are chosen and units are read.
 
 columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
 """
@@ -19,7 +19,7 @@ _WIDEST = 63  # lines of a matrix that may be columns; a record has more samples
 
 @dataclass(frozen=True)
 class Column:
-    """One column of a file.
+    """The header, unit and form of one column of a file; the values are loaded later.
 
     Attributes:
         name: its exact header, cleaned.
@@ -38,7 +38,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """The columns of one file (or of a part of it), loaded on request.
+    """The columns of one file, or of a part of it; values are loaded when asked for.
 
     Attributes:
         path: the file.
@@ -64,12 +64,12 @@ class Table:
 
     @property
     def source(self) -> str:
-        """Return the file, for messages."""
+        """Return the file's path, cleaned for messages."""
         return cleaned(self.path)
 
 
 def sample(index: int) -> str:
-    """Return words for a sample of a file without lines."""
+    """Describe a sample of a file without lines, for messages."""
     return f"sample {index}"
 
 
@@ -83,7 +83,7 @@ def array_table(
     clocks: Mapping = MappingProxyType({}),
     shapes: Mapping = MappingProxyType({}),
 ) -> Table:
-    """Return named arrays as a table.
+    """Make a table of named arrays.
 
     Args:
         path: the file.
@@ -109,7 +109,7 @@ def array_table(
 
 
 def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
-    """Return a vector unchanged; a long matrix as its columns (or rows) `data[1]`, `data[2]`, ..."""
+    """Return a vector unchanged; split a long matrix into columns `data[1]`, `data[2]`, ..."""
     # long in one dimension: an image or a map is long in both
     if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
         return [(name, values)]
@@ -126,7 +126,7 @@ def _loaded(values: Any, column: str, source: str) -> np.ndarray:
 
 
 def _text(value: Any) -> str | None:
-    """Return a unit attribute as text, also from bytes or an array of one string."""
+    """Return a unit attribute as text, also if it is stored as bytes or an array of one string."""
     if isinstance(value, np.ndarray) and value.size == 1:
         value = value.reshape(-1)[0]
     if isinstance(value, bytes):

@@ -1,4 +1,4 @@
-"""Text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
+"""Read text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
 
 bytes -> possible encodings -> separator and decimal mark -> layouts (a signature decides) -> rows of numbers
 
@@ -46,7 +46,7 @@ _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
 def text_tables(path: Path, options: ReadOptions) -> list[Table]:
-    """Return every table that a text may be, the likeliest first.
+    """Return every table that a text file may hold, the likeliest first.
 
     Raises:
         BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
@@ -71,7 +71,7 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
 
 
 def single_column(path: Path) -> Table | None:
-    """Return a text of one number a line as a table, with its name from the first line or the file; otherwise None."""
+    """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
     source = cleaned(path)
     try:
         lines = [line.strip().strip('"') for line in _text(path, source).decode("utf-8").split("\n")]
@@ -94,7 +94,7 @@ def single_column(path: Path) -> Table | None:
 
 
 def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
-    """Return the layout with a decimal comma if only rows below the head have one.
+    """Return the layout with the decimal mark that the rows of numbers show.
 
     Raises:
         Refused: every comma may separate thousands.
@@ -139,7 +139,7 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
 
 
 def _text(path: Path, source: str) -> bytes:
-    """Return the decompressed text with plain line ends; UTF-16 becomes UTF-8."""
+    """Read a text file: decompressed, with plain line ends, UTF-16 converted to UTF-8."""
     data, wide = file_bytes(path), None
     # by its first bytes, because downloads lose or gain suffixes
     zipped = data.startswith(b"\x1f\x8b")
@@ -174,7 +174,7 @@ def _text(path: Path, source: str) -> bytes:
 
 
 def _unbroken(data: bytes) -> bytes:
-    """Return the text with line breaks inside quoted names as blanks; later lines keep their numbers."""
+    """Replace line breaks inside quoted names by blanks; line numbers below stay valid."""
     begin = 0
     for _ in range(_BROKEN):
         end = data.find(b"\n", begin)
@@ -192,7 +192,7 @@ def _unbroken(data: bytes) -> bytes:
 
 
 def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
-    """Return encodings that the head of a text may have: UTF-8 if it fits, otherwise all others that do."""
+    """Return possible encodings of the first lines: UTF-8 if it fits, otherwise all others that fit."""
     if options.encoding is not None:
         try:
             head.decode(options.encoding)
@@ -212,7 +212,7 @@ def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
 
 
 def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
-    """Return start, end and number of the first lines that are not empty; comments do not count."""
+    """Return start, end and line number of the first lines that are not empty; comments do not count to the limit."""
     spans, begin, number, plain = [], 0, 0, 0
     while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
         # bounded, so that a binary file without line ends costs nothing
@@ -231,7 +231,7 @@ def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
 
 
 def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source: str) -> list[Layout]:
-    """Return the layouts of text: that of a signature, otherwise all that the rows allow."""
+    """Return possible layouts of a text: that of a known program, otherwise all that the rows allow."""
     stated = (options.header_line, options.units_line, options.separator, options.decimal)
     if stated == (None,) * 4:
         for signature in SIGNATURES:
@@ -253,7 +253,7 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
 def _recut(
     lines: Sequence[str], cells: list[list[str]], commented: Sequence[bool], separator: str, decimal: str
 ) -> list[list[str]]:
-    """Return the rows of cells; names are split differently if that gives the usual number of cells.
+    """Split rows of names differently if that gives as many cells as the rows of numbers have.
 
     Names between blanks may hold single blanks. A comment may have other separators, or none behind brackets.
     """
@@ -278,7 +278,7 @@ def _recut(
 
 
 def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
-    """Remove units from columns whose numbers carry one (`0.001 sec`); return them by column."""
+    """Remove units from columns whose numbers carry one (`0.001 sec`); return the units by column index."""
     marked = {}
     for k in range(max(map(len, cells), default=0)):
         column = [row[k] for row in cells if k < len(row)]
@@ -304,14 +304,14 @@ def _bare(line: str) -> str:
 
 
 def cells_of(line: str, separator: str) -> list[str]:
-    """Return a line as its cells, stripped."""
+    """Split a line into cells, without blanks around them."""
     if separator == " ":
         line = line.strip().replace("\t", " ")
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
 def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, str]:
-    """Return the separator and decimal mark for which most cells in rows of numbers are numbers.
+    """Return the separator and decimal mark with which most cells are numbers.
 
     Raises:
         BadInput: none gives a table.
@@ -334,7 +334,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
 
 
 def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
-    """Return the fraction of rows with the usual length and numbers, times the fraction of numbers in their cells."""
+    """Score a split into cells: fraction of rows of the usual length, times the fraction of cells that are numbers."""
     widths: dict[int, list[int]] = {}
     for row in rows:
         filled = trimmed(row)
@@ -353,25 +353,25 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
 
 
 def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
-    """Return the line of a sample, counted from 1; the file is read again for it."""
+    """Return the line number of a sample, counted from 1; the file is read again for it."""
     lines = enumerate(_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
     filled = (number for number, line in lines if _is_row(line, separator))
     return next(islice(filled, sample, None), above + 1 + sample)
 
 
 def _is_row(line: bytes, separator: str) -> bool:
-    """Return whether a line is a row of cells: not a comment, not empty."""
+    """Return whether a line holds cells: it is neither empty nor a comment."""
     return bool(line.strip()) and not line.startswith(_MARKS)
 
 
 def _first_bytes(body: bytes) -> np.ndarray:
-    """Return the first byte of every line but the first."""
+    """Return the first byte of every line except the first."""
     codes = np.frombuffer(body, dtype=np.uint8)
     return codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1]
 
 
 def _rows_only(body: bytes, layout: Layout) -> bytes:
-    """Return the text without comment lines, blank lines, and empty rows at its end."""
+    """Drop comment lines, blank lines, and empty rows at the end of the text."""
     # one pass over the lines: a search for each mark took a ninth of the reading of a long file
     if np.isin(_first_bytes(body), _NO_ROW).any():
         body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
@@ -382,7 +382,7 @@ def _rows_only(body: bytes, layout: Layout) -> bytes:
 
 
 def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
-    """Return the wanted columns by the C parser, or None if the text needs a closer look."""
+    """Load columns with the C parser; return None if only row-by-row reading can explain or read the text."""
     import pandas as pd
 
     # quotes around numbers only slow the parser down
@@ -409,7 +409,7 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
 
 
 def _rectangular(body: bytes, layout: Layout) -> bool:
-    """Return whether every row has the usual number of cells."""
+    """Return whether every row has the same number of cells as the layout."""
     # counted in bytes, because the C parser fills short rows silently
     codes = np.frombuffer(body, dtype=np.uint8)
     ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
@@ -431,7 +431,7 @@ def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
 
 
 def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int], str]) -> list[np.ndarray]:
-    """Return the wanted columns row by row; refuse the first bad row with its line and column."""
+    """Load columns row by row; refuse the first bad row with its line and column."""
     values, width = [], layout.width
     try:
         for row in _split(body, layout, encoding):
@@ -454,7 +454,7 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
 
 
 def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
-    """Return the cells of column k as numbers; dates and hours as seconds.
+    """Convert the cells of column k to numbers; dates and times of day become seconds.
 
     Raises:
         BadInput: with the first cell that is not a number.

@@ -1,4 +1,4 @@
-"""Units: one table of factors, their spellings, and the base unit of each kind.
+"""Define units: their factors, their spellings, and the base unit of each kind.
 
 value in base unit = factor(unit) * value in the column,    base units: SI (s, V, m, rad, Pa, ...)
 """
@@ -68,12 +68,12 @@ _SPELLINGS = {word: unit for unit, words in _WORDS.items() for word in words.spl
 
 
 def plain(text: str) -> str:
-    """Return a text with compatibility characters (full width, `㎜`, `²`) written plainly and micro signs as u."""
+    """Write a text with plain characters (no full width, `㎜` or `²`) and u for micro."""
     return unicodedata.normalize("NFKC", text).replace("Âμ", "u").replace("µ", "u").replace("μ", "u").strip()
 
 
 def spelt(text: str) -> str | None:
-    """Return the unit that a text spells (`µm`, `Volts`, `кВ`), or None."""
+    """Return the unit that a text spells (`µm`, `Volts`, `кВ`); None if it spells none."""
     bare = plain(text).strip("()[]{}<>").strip().removesuffix(".")
     if bare in ("Nm", "mNm"):  # nm is a length
         return bare[:-1] + " m"
@@ -82,17 +82,17 @@ def spelt(text: str) -> str | None:
 
 
 def kind_of(unit: str | None) -> str | None:
-    """Return the kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None for None."""
+    """Return the kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None without a unit."""
     return _KIND[unit] if unit is not None else None
 
 
 def units_of_kind(unit: str) -> tuple[str, ...]:
-    """Return the units of the same kind as `unit`, that one first."""
+    """Return the units of the same kind as `unit`, with `unit` first."""
     return (unit, *(other for other in _KINDS[_KIND[unit]] if other != unit))
 
 
 def column_name(quantity: str, unit: str) -> str:
-    """Return the name of a column that pitp writes: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
+    """Return the header of a column that pitp writes: `voltage_V`, `input_rad`, `displacement_m`, `output_deg`.
 
     Args:
         quantity: `voltage` (the input) or `displacement` (the output).
@@ -104,7 +104,7 @@ def column_name(quantity: str, unit: str) -> str:
 
 
 def column_names(quantity: str) -> tuple[str, ...]:
-    """Return the exact column names that a quantity may have.
+    """Return the exact headers by which a quantity is recognised at once.
 
     Args:
         quantity: `time`, `voltage` or `displacement`.
@@ -116,7 +116,7 @@ def column_names(quantity: str) -> tuple[str, ...]:
 
 
 def units_of(quantity: str) -> tuple[str, ...]:
-    """Return the units that a quantity may have.
+    """Return the units that a column of a quantity may have.
 
     Args:
         quantity: `time`, `voltage` or `displacement`.
@@ -125,7 +125,7 @@ def units_of(quantity: str) -> tuple[str, ...]:
 
 
 def to_base(values, unit: str):
-    """Return values in the base unit; decimal fractions divide by a whole number, so that decimal times stay exact.
+    """Convert values to the base unit; decimal fractions divide by a whole number, so that decimal times stay exact.
 
     Args:
         values: array in `unit`, any shape.
@@ -136,7 +136,7 @@ def to_base(values, unit: str):
 
 
 def from_base(values, unit: str):
-    """Return values in `unit` from values in the base unit; the inverse of `to_base`.
+    """Convert values from the base unit to `unit`; the inverse of `to_base`.
 
     Args:
         values: array in the base unit, any shape.
@@ -147,10 +147,10 @@ def from_base(values, unit: str):
 
 
 def _parts(scale: float) -> bool:
-    """Return whether a unit is a whole fraction (a thousandth) of its base."""
+    """Return whether the base unit is a whole multiple of this unit (1000 mm are 1 m)."""
     return scale < 1 and abs(round(1 / scale) * scale - 1) < 1e-12
 
 
 def base_unit(unit: str) -> str:
-    """Return the base unit of a unit: `m` of lengths, `V` of voltages, `rad` of angles."""
+    """Return the base unit for a unit: `m` for lengths, `V` for voltages, `rad` for angles."""
     return next(iter(_KINDS[_KIND[unit]]))
