@@ -33,12 +33,12 @@ class Domain(Constants):
     clock: float = eqx.field(converter=number, default=0.0)
 
     def age(self, time: float) -> float:
-        """Return the duration of the session (s) at this time of the clock; 0 for a clock of another kind."""
+        """Convert a time of the records' clock to the time since the session began (s); 0 for another clock."""
         age = float(time) - float(self.clock)
         return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Domain":
-        """Return the domain with voltage range and slew widened to those of these records."""
+        """Return the domain with its voltage range and slew limit widened to those of these records."""
         low, high = self.voltage_range
         return replace(
             self,

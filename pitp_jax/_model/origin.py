@@ -1,4 +1,4 @@
-"""The origin of a model as typed fields, which no compiled program contains (`fitted`)."""
+"""The origin of a model: its data and history as typed fields, which no compiled program contains."""
 
 from dataclasses import dataclass, field
 from typing import Any
