@@ -22,12 +22,12 @@ _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
 def _by_time(p, k, plant):
-    """Report a memory as creep if it is slow compared with the plant."""
+    """Name a memory "creep" if it is slow compared with the plant, otherwise "relaxation"."""
     return "creep" if p.tau > _SLOW * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
 
 
 def _by_give(p, k, plant):
-    """Report a hysteresis loop as dry friction with bristles if it yields little before it slides."""
+    """Name a hysteresis loop dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)

@@ -1,4 +1,4 @@
-"""The first screen of a report: verdict, budget, and where the gap lies, its cause, and its reduction."""
+"""Write the first screen of a report: verdict, budget, and where the gap lies, its cause and its reduction."""
 
 import numpy as np
 
@@ -58,7 +58,7 @@ def verdict_text(d: Diagnosis) -> str:
 
 
 def budget_bar(d: Diagnosis) -> str:
-    """Return the gap's energy as one bar that adds to 100 %, with a label for each part."""
+    """Draw the energy of the gap as one HTML bar that adds up to 100 %, with a label for each part."""
     b = d.budget
     if not b:
         return ""
@@ -159,7 +159,7 @@ def _how_far(d: Diagnosis) -> str:
 
 
 def _in_units(d: Diagnosis) -> str:
-    """Return the error in the output's own unit, rms over the held-out recordings."""
+    """Describe the error before and after in the output's own unit, rms over the held-out recordings."""
     scale, unit = output_unit(d)
     held = [t for t in d.traces if t.heldout] or d.traces
     before, after = (
