@@ -9,11 +9,11 @@ from collections.abc import Sequence
 
 
 class BadInput(ValueError):
-    """Bad input or usage: one line that names the file, the place and the remedy (exit code 2)."""
+    """Bad input or usage; the message is one line with the file, the place and the remedy (exit code 2)."""
 
 
 class ComputationFailed(RuntimeError):
-    """The computation itself failed (diverged, order not identifiable): one line with advice (exit code 3)."""
+    """A failed computation, such as a diverged simulation; the message is one line with advice (exit code 3)."""
 
 
 def refuse_traced(name: str, instead: str, *values: object) -> None:

@@ -68,7 +68,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one `pitp` command.
+    """Run one `pitp` command; return its exit code.
 
     Args:
         argv: arguments after the program's name; None takes the process's own.

@@ -89,7 +89,7 @@ class Adaptation(Shown):
 
 
 def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptation:
-    """Test whether a model still holds for a recording, and find which of its parameters changed.
+    """Test whether a model still holds for a recording, and find which of the model's parameters changed.
 
     Args:
         model: identified or trained, with any effects.
@@ -168,7 +168,7 @@ def _model_error(fit: Fit, seen: Session, own: float) -> float:
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:
-    """Return whether the chosen half of every recording moves at least a fifth as much as the whole recording."""
+    """Return whether the chosen half of each recording moves at least a fifth as much as the whole recording."""
     counts = seen.weight > 0
     spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
                for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip

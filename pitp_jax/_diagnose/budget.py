@@ -1,4 +1,4 @@
-"""The computing budget of a diagnosis: counted simulation steps, and wall time if the user limits it.
+"""The computing budget of a diagnosis: a number of simulated steps, and wall time if the user limits it.
 
 Counting makes the answer the same on every computer. If the budget ends early, this is reported with the best answer so
 far.

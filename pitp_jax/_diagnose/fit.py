@@ -320,7 +320,7 @@ class Fitter:
             fit.done = fit.damping > 1e4
 
     def refitted_without(self, fits: Sequence[Fit], iterations: int) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
-        """Refit every fit without each fold, starting from the fit to all records.
+        """Refit every fit without each fold (cross-validation), starting from the fit to all records.
 
         Returns:
             out-of-fold residuals of every fit, by record; its slots without each fold, shape (folds, slots).

@@ -32,7 +32,7 @@ _FAR = 10.0  # ranges: the error assigned to a diverged run
 
 @dataclass(frozen=True)
 class Gap:
-    """Errors in % of range, pooled over records, and the closed fraction with its 95 % interval.
+    """Errors of a diagnosis in % of range, pooled over records, and the closed fraction with its 95 % interval.
 
     Attributes:
         before: of the nominal (refitted in a refit); after: of the chosen set; unrefitted: of the given nominal.

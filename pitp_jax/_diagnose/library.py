@@ -371,7 +371,7 @@ def rates_of(model: Model) -> tuple[float, float]:
 
 
 def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | None]:
-    """Split a_0 ... a_n into a core of order two at most, a lag (s) and a filter (s, damping) behind it.
+    """Split the polynomial a_0 ... a_n into a core of order two at most, a lag (s) and a filter (s, damping).
 
     The core has the dominant pair: the slowest oscillating one, otherwise the slowest two poles. Poles beyond order
     four are combined with the lag.

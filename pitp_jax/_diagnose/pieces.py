@@ -27,7 +27,7 @@ _STILL = 0.05  # of the largest motion of a recording: a piece with less shows n
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording, with its start and end in the recording's own time (s)."""
+    """A piece of a recording: its start and end, s after the first sample of the recording."""
 
     record: str
     from_s: float
@@ -102,7 +102,7 @@ def _windows(record: Record, size: int) -> list[_Window]:
 
 
 def _spread(values: np.ndarray) -> float:
-    """Return the standard deviation of the measured samples; 0 if less than half are measured."""
+    """Return the standard deviation of the measured samples; 0 if at most half of the samples are measured."""
     there = np.isfinite(values)
     return float(values[there].std()) if 2 * there.sum() > len(values) else 0.0
 

@@ -47,7 +47,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Added:
-    """One effect of the augmented model: name, form, and parameters as in `Ranked`."""
+    """One effect that the augmented model has beyond the nominal, with its parameters as in `Ranked`."""
 
     effect: str
     form: str

@@ -1,4 +1,4 @@
-"""Select the recordings that a diagnosis can use: those that move, with a note on the others."""
+"""Select the recordings that a diagnosis can use: those with motion; a note names the others."""
 
 from collections import Counter
 from collections.abc import Sequence

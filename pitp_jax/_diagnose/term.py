@@ -18,7 +18,7 @@ from .search import Hypothesis, Search
 
 @dataclass(frozen=True)
 class Term:
-    """The missing force as an equation.
+    """The missing force as an equation found in the data, with its parameters and the fraction it closes.
 
     Attributes:
         equation: sum_i a_i x^(i) = F - (this), with the parameters' names.

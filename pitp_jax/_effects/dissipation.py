@@ -1,4 +1,4 @@
-"""Effects that dissipate energy (port C).
+"""Effects that dissipate energy: drag and dry friction (port C, a force that depends on the velocity).
 
 drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),

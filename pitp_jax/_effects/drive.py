@@ -1,4 +1,4 @@
-"""Effects of amplifier and electrodes on the command before the square (port IN): u to the film's V.
+"""Effects of amplifier and electrodes: from the commanded voltage u to the film's voltage V (port IN).
 
 electrode_rc      tau V' = u - V                  bleeder         the same, with a tau up and one down
 force_lag         V^2 = F,  tau F' = u^2 - F

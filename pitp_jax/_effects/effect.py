@@ -248,7 +248,7 @@ class Effect:
 
 
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
-    """Solve function(w) = wanted element by element by Newton's method, from `begin` (default: `wanted`).
+    """Solve function(w) = wanted for every element by Newton's method, starting at `begin` or at `wanted`.
 
     A step is taken only if it reduces the error: w does not change in a flat part (a clip).
     """

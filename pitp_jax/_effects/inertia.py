@@ -1,4 +1,4 @@
-"""Effects of additional masses and of loads that lose contact (port M); a_2 is the nominal's mass, k its stiffness.
+"""Effects of additional masses, and of loads that lose contact (port M).
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')

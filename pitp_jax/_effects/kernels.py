@@ -229,5 +229,5 @@ def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
 
 
 def total_delay(effects: Sequence) -> float:
-    """Return the sum of a model's delays, s."""
+    """Return the sum of the delays in a list of effects, s."""
     return sum(float(e.time) for e in effects if e.spec.kernel is DELAY)

@@ -1,4 +1,4 @@
-"""Forces with memory (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
+"""Forces with memory: creep and hysteresis (port K), and springs that change over a session (port T).
 
 creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega_0 > 15, relaxation below
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)

@@ -1,4 +1,4 @@
-"""Convert an effect's parameters to physical units, and to a model of other scales.
+"""Convert the parameters of an effect to physical units, and to a model with other scales.
 
 base value = stored * s_0^length s_1^speed s_2^acceleration f^force        s, f: the model's scales of state and force
 """

@@ -21,7 +21,7 @@ from .kernels import NOTHING, Kernel
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect: its name, its unit, and how it is fitted.
 
     Attributes:
         name: its key in the law.

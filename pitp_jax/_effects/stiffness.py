@@ -1,4 +1,4 @@
-"""Nonlinear springs (port K), k = sigma_0 of the nominal; forces f added to k x.
+"""Nonlinear springs (port K): forces in addition to the linear spring force of the nominal model.
 
 stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),

@@ -56,7 +56,7 @@ def export_c(
 
 
 def write_sources(plan: Plan, folder: Path) -> None:
-    """Write `pitp_<name>.h` and `pitp_<name>.c`."""
+    """Write the C sources `pitp_<name>.h` and `pitp_<name>.c` into a folder."""
     values = substitutions(plan)
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)

@@ -1,4 +1,4 @@
-"""Convert a JAX program into scalar expressions, with one rule for each primitive.
+"""Convert a JAX program to scalar expressions, with one rule for each primitive operation.
 
     make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, no arrays left
 

@@ -1,4 +1,4 @@
-"""Correct a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
+"""Correct a feedforward voltage by a PI controller (paper, Fig. 14), in a simulated closed loop.
 
     v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
     z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: z loses the clipped part within T

@@ -139,7 +139,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
 
 def _compile(exported: export.Exported):
-    """Compile through `jax.jit`, which dispatches twice as fast as a `Compiled` object, by calling it once.
+    """Compile an exported step through `jax.jit` by calling it once; a `Compiled` object dispatches half as fast.
 
     64-bit inputs are rounded, because the caller may have enabled them.
     """

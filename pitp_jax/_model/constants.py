@@ -20,7 +20,7 @@ class Constants(eqx.Module):
 
 
 def number(value) -> Any:
-    """Convert one number to a float; a traced value stays unchanged."""
+    """Convert a number to a float; a value that JAX traces stays unchanged."""
     return value if isinstance(value, Tracer) else float(value)
 
 
@@ -48,7 +48,7 @@ class ConstantArray(Constants):
         return jnp.asarray(self.values, dtype)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        """Convert to a NumPy array on the host."""
+        """Convert the constants to a NumPy array on the host."""
         return np.asarray(self.values, dtype)
 
 

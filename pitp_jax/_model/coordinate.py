@@ -1,4 +1,4 @@
-"""The coordinate of every displacement y in commands, pages and exports: 0 at 0 V.
+"""The coordinate of every displacement y in commands, pages and exports: 0 m at 0 V.
 
     y = s x,    s = 1 behind a square (y grows as the actuator extends), the sensor's direction behind a linear input
     reading = direction x + offset

@@ -1,4 +1,4 @@
-"""The domain of a model: the sampling and voltages of its records, and the range of its features.
+"""The validity range of a model: sampling interval, voltages and features of its training records.
 
 Its numbers are `constants`: exact on the host, and not parameters of the model. The sampling interval is static: each
 program has its own.

@@ -64,7 +64,7 @@ class ElectrodeLag(AbstractDrive):
         return film + jnp.exp(self.log_tau) * slope(film, dt)
 
     def undo(self, film, dt, first):
-        """Solve `first_order_lags` for its input: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
+        """Compute u exactly, sample by sample: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
 
         An error of `first` alternates in sign and decays by dt / (3 tau) a sample.
         """

@@ -35,7 +35,7 @@ class AbstractEncoder(eqx.Module):
     def __call__(
         self, features: Float[Array, " features"], *, key: PRNGKeyArray | None = None
     ) -> Float[Array, " tokens"]:
-        """Compute the logits, shape (n + 2,); `key` turns dropout on if the encoder has any."""
+        """Compute the logits, shape (n + 2,); `key` turns dropout on."""
 
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
         """Return a function from features to logits for many instants: one array per token, one for the offset token.
@@ -67,7 +67,7 @@ class ConstantEncoder(AbstractEncoder):
         return lambda features: [jnp.zeros_like(features[0])] * self.outputs
 
     def scaled(self, factor):
-        """Return the encoder itself, because zeros stay zeros."""
+        """Return the encoder itself, because its logits are zero for any factor."""
         return self
 
 
@@ -98,7 +98,7 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 class CompactEncoder(AbstractEncoder):
-    """Small nets with low-order polynomials, each token limited to its own inputs (preset `default`).
+    """Small nets with low-order polynomials; each coefficient (token) depends on few inputs (preset `default`).
 
         sigma_0, sigma_n           = spring(x)                    + sum_{k=1}^{3} w_k x^k
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
@@ -166,7 +166,7 @@ class CompactEncoder(AbstractEncoder):
         self.bounds = constant_array(wide if bounds is None else bounds)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant."""
+        """Compute the logits of one instant, shape (n + 2,)."""
         return jnp.stack(self.over("instant")(list(features)))
 
     def over(self, way="instants"):
@@ -246,7 +246,7 @@ class AdaptedEncoder(AbstractEncoder):
     reach: ConstantArray = eqx.field(converter=constant_array)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant."""
+        """Compute the logits of one instant, shape (n + 2,)."""
         rows = list(features)
         return jnp.stack(self._tilted(rows[0], list(self.inner(jnp.stack(self._seen(rows)), key=key))))
 
@@ -340,7 +340,7 @@ class PaperEncoder(AbstractEncoder):
         self.networks = build(jax.random.split(key, tokens))
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant; the offset logit is always zero."""
+        """Compute the logits of one instant, shape (n + 2,); the logit of the offset token is always zero."""
         count = self.networks.readout.weight.shape[0]
         if key is None:  # no dropout without a key, because a rollout must not draw random numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)

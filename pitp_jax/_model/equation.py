@@ -1,4 +1,4 @@
-"""The equation of motion (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i(S, m) x^(i)."""
+"""Evaluate the equation of motion (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i x^(i)."""
 
 from jaxtyping import Array
 

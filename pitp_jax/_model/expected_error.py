@@ -12,7 +12,7 @@ from .fitted import Fitted
 
 
 class Expected(NamedTuple):
-    """An expected error, e_rms in % of range, and its source in words."""
+    """The error to expect on a new recording, e_rms in % of range, and its source in words."""
 
     percent: float
     source: str

@@ -131,7 +131,7 @@ class RingingMemory(AbstractMemory):
 
     @property
     def ring(self) -> tuple[Array, Array]:
-        """Return eigenfrequency (rad/s) and damping ratio of the second mass."""
+        """Return the eigenfrequency (rad/s) and the damping ratio (below 1) of the second mass."""
         # an overdamped mass would be two more lags, and the closed form's sqrt(1 - zeta^2) would be nan
         return jnp.exp(self.log_omega), jnp.minimum(jnp.exp(self.log_zeta), 0.99)
 

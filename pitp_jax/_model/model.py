@@ -1,4 +1,4 @@
-"""The model: an ODE of order n whose coefficients depend on the current state (paper, eqs. 2-7).
+"""The model: a differential equation of order n whose coefficients depend on the state (paper, eqs. 2-7).
 
     F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),   F = map(V),  V = drive(u)
     sigma = tokens(S, m),   S = [x, x', ..., x^(n-1)]
@@ -71,7 +71,7 @@ class Scales(Constants):
 
 
 class Model(eqx.Module):
-    """A model: nominal coefficients with input map, encoder, memory and effects.
+    """A model of an actuator: nominal coefficients with input map, encoder, memory and effects.
 
     Attributes:
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
@@ -95,7 +95,7 @@ class Model(eqx.Module):
     effects: tuple = ()
 
     def __repr__(self) -> str:
-        """Return two lines: the kind of model, and its coefficients."""
+        """Return two lines of text: the kind of model, and its coefficients."""
         part = own_module(self.encoder) or self.encoder
         kind = "identified" if isinstance(part, ConstantEncoder) else f"trained ({type(part).__name__})"
         parts = [f"{self.memory.size} memory states"] if self.memory.size else []
@@ -123,7 +123,7 @@ class Model(eqx.Module):
 
     @property
     def natural_frequency(self) -> float:
-        """Return the resonance frequency, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
+        """Return the resonance frequency (`dominant_frequency`), rad/s; at order 2 it is sqrt(k / m).
 
         A pure integrator has none; then the frequency of its identification records is returned.
         """
@@ -132,7 +132,7 @@ class Model(eqx.Module):
 
     @property
     def dt(self) -> float:
-        """Return the sampling interval of the model's records, s."""
+        """Return the sampling interval of the model's training records, s."""
         return float(self.domain.dt)
 
     def tokens(

@@ -20,7 +20,7 @@ from .encoder import AbstractEncoder, plain
 
 
 class OwnEncoder(AbstractEncoder):
-    """An encoder around any Equinox module; `Model`, `train` and `load` wrap modules automatically.
+    """An encoder around a user's Equinox module; `Model`, `train` and `load` wrap modules automatically.
 
     The module is called as `module(features)` with scaled features of shape (n + K,): the state x, x', ..., x^(n-1),
     then the K memories. It returns n + 2 logits: one per token sigma_0 ... sigma_n, then the offset token. Logits of 0
@@ -36,12 +36,12 @@ class OwnEncoder(AbstractEncoder):
     factor: Float[Array, ""]
 
     def __init__(self, module: Any, factor: Float[Array, ""] | float = 1.0):
-        """Wrap the module and convert its NumPy arrays to JAX arrays."""
+        """Store the user's module, with its NumPy arrays converted to JAX arrays."""
         self.module = jax.tree.map(lambda a: jnp.asarray(a) if isinstance(a, np.ndarray) else a, module)
         self.factor = jnp.asarray(factor, jnp.result_type(float) if isinstance(factor, float) else None)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant, in the precision of the features."""
+        """Compute the logits of one instant, shape (n + 2,), in the precision of the features."""
         options = {} if key is None or not _takes_key(self.module) else {"key": key}
         return (self.factor * self.module(features, **options)).astype(features.dtype)
 

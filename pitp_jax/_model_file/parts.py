@@ -37,7 +37,7 @@ LARGEST = 4096  # no size of a part is near this; building a larger one could ta
 
 @dataclass(frozen=True)
 class Part:
-    """The storage of one kind of part: its class, the numbers that rebuild it, and its constructor.
+    """How a model file stores one kind of part: its class, the numbers that rebuild it, and a constructor.
 
     Attributes:
         cls: the class; a part is stored under this name only if its type is exactly this.

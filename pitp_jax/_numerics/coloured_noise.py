@@ -18,7 +18,7 @@ _ORDER = 6
 
 
 def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function (time, ...) -> (time, ...) that whitens signals with the error's spectrum.
+    """Return a function that whitens signals, shape (time, ...), with the spectrum of an error.
 
     The first P samples are whitened by the Cholesky factor of their covariance, so no sample is lost.
     """

@@ -28,7 +28,7 @@ _compiled = partial(jax.jit, static_argnames="dt")
 def first_order_lags(
     x: Float[Array, " time"], tau: Float[Array, " memory"], dt: float, start: Float[Array, " memory"]
 ) -> Float[Array, "time memory"]:
-    """Solve z_k' = (x - z_k) / tau_k exactly for x linear between samples.
+    """Solve z_k' = (x - z_k) / tau_k exactly for x linear between samples, shape (time, lags).
 
     With q = exp(-dt/tau):  z_{t+1} = q z_t + (1 - q) x_t + (1 - (1 - q) tau/dt) (x_{t+1} - x_t).
     Blocks of about sqrt(T) samples run side by side, as in `linear_recurrence`.

@@ -169,7 +169,7 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
 
 
 def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> list[Beginning]:
-    """Give records that start at a held voltage the sensor offset of records that start at rest, if these agree.
+    """Give records that start at a held voltage the sensor offset of records at rest, if it is plausible.
 
     x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
 

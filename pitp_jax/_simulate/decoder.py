@@ -1,4 +1,4 @@
-"""The decoder: simulate the model under a voltage (paper, eq. 7).
+"""Simulate a model under a voltage by Runge-Kutta steps (the paper's decoder, eq. 7).
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
     tokens read at the state drifted by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
@@ -36,7 +36,7 @@ def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..
 
 
 def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Compute the film voltage (V) that gives a scaled force."""
+    """Convert a scaled force to the film voltage (V) that gives it."""
     return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 

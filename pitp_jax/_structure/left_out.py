@@ -25,7 +25,7 @@ Identify = Callable[[Sequence[Record]], Model | Fitted]
 
 @dataclass(frozen=True)
 class Folds:
-    """Recordings grouped by excitation, and the excitations that are left out together.
+    """Recordings grouped by excitation, and the groups that are left out together.
 
     Attributes:
         excitations: indices of the recordings of each distinct excitation.

@@ -21,7 +21,7 @@ from .equation_error import EquationData
 
 @dataclass(frozen=True)
 class Dataset:
-    """The training data of a set of records.
+    """The training data of several records, in the scaled units of the model.
 
     Attributes:
         model: the nominal in the new scales, with the memory (tokens still constant).

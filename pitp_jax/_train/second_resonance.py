@@ -95,7 +95,7 @@ class _Rows(NamedTuple):
 
 
 def _rows(states: Sequence[StateRecord]) -> _Rows:
-    """Choose records with valid samples, and every n-th sample of them, within two budgets."""
+    """Choose records with valid samples, and every n-th of these samples, so that both numbers stay limited."""
     some = [s for s in states if s.valid.any()]
     some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
     every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)

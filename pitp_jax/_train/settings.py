@@ -42,7 +42,7 @@ _REMAINDER = 10.0  # times the prior weight: the corrections of a model that hol
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a training; the paper's symbols (Algorithm 1, III-D) in brackets.
+    """The settings of a training. Brackets hold the paper's symbols (Algorithm 1, III-D).
 
     Attributes:
         encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
@@ -104,7 +104,7 @@ class Settings:
     remainder: bool = False
 
     def __post_init__(self):
-        """Refuse unknown words, which would silently act as the default."""
+        """Refuse unknown words in the settings, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")

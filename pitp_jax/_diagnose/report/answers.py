@@ -19,7 +19,7 @@ _HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
-    """Return the verdict in one line."""
+    """Describe the verdict of a diagnosis in one line."""
     if d.effects == ("parameter_change",):
         return "The model's own coefficients have changed; no effect is missing"
     if d.effects:
@@ -31,7 +31,7 @@ def headline(d: Diagnosis) -> str:
 
 
 def verdict_text(d: Diagnosis) -> str:
-    """Return the meaning of the verdict, in one or two sentences."""
+    """Explain the verdict of a diagnosis in one or two sentences."""
     if d.verdict == "no_gap":
         return f"On {_records_used(d)}, {_error_without(d)}. There is no effect to add."
     if d.effects:
@@ -88,7 +88,7 @@ def budget_bar(d: Diagnosis) -> str:
 
 
 def next_step(d: Diagnosis) -> str:
-    """Return the recommended next step, in one sentence."""
+    """Recommend the next step after a diagnosis, in one sentence."""
     if d.verdict == "no_gap":
         if isinstance(d.model.encoder, ConstantEncoder):
             return "Next: predict and invert with this model; if its error is too large, train it with `pitp fit`."
@@ -170,5 +170,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Return the cards "where", "which" and "how far" as HTML."""
+    """Return the cards "where", "which" and "how far" of a diagnosis as HTML."""
     return _where(d), which(d), _how_far(d)

@@ -37,7 +37,7 @@ _AXES = {
 
 
 def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw the fraction of the missing force by input frequency and amplitude of the motion; flagged cells outlined.
+    """Draw the fraction of the missing force by input frequency and amplitude; flagged cells are outlined.
 
     Args:
         diagnosis: the diagnosis.
@@ -80,7 +80,7 @@ def _edges(set_ticks, pairs, scale: float) -> None:
 
 
 def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw how much of the held-out gap every effect closes, with its 95 % interval.
+    """Draw the fraction of the held-out gap that each effect closes, with its 95 % interval.
 
     Args:
         diagnosis: the diagnosis.
@@ -124,7 +124,7 @@ def _bars(diagnosis: Diagnosis) -> list[tuple]:
 
 
 def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time")) -> np.ndarray:
-    """Draw fractions of the gap along some of its axes, as bars.
+    """Draw the fractions of the error or of the missing force along some axes, as bars.
 
     Args:
         diagnosis: the diagnosis.
@@ -183,7 +183,7 @@ def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw the voltage of the next experiment over time.
+    """Draw the voltage (V or kV) of the proposed next experiment over time (s).
 
     Args:
         diagnosis: one that has a next experiment.
@@ -199,7 +199,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Return all figures for which this diagnosis has data, by file name.
+    """Draw all figures for which the diagnosis has data; return them by file name.
 
     A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """

@@ -1,4 +1,4 @@
-"""Words of a report: effects in plain language, their parameters, and where a gap is concentrated.
+"""Words and numbers of a report: effects in plain language, parameters, and where a gap is concentrated.
 
 a limit is fitted as its inverse, so that zero means no limit, and is shown as the limit itself
 """
@@ -59,7 +59,7 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
 
 
 def parameter_between(name: str, number: dict, length_unit: str) -> tuple[str, str]:
-    """Return label and text of one parameter with its 95 % interval: `3.1 kV (2.9 to 3.4)`, `at least 7.1 s`.
+    """Return name and text of a parameter with its 95 % interval, such as `3.1 kV (2.9 to 3.4)`.
 
     Args:
         name: of the parameter.
@@ -113,7 +113,7 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
 
 
 def coefficient_name(i: int, order: int) -> str:
-    """Return `a0 (stiffness)`; only coefficients of an order-2 model have names."""
+    """Return a coefficient's displayed name, such as `a0 (stiffness)` at order 2, otherwise `a0`."""
     return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
 
 

@@ -19,7 +19,7 @@ def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
 
 
 def worst(diagnosis: Diagnosis) -> Trace:
-    """Return the held-out record with the largest gap relative to its range; a fitted one if none is held out."""
+    """Return the held-out record with the largest error relative to its range; without one, a fitted record."""
     held = [t for t in diagnosis.traces if t.heldout] or list(diagnosis.traces)
     return max(held, key=lambda t: np.nan_to_num(errors(t)[0]))
 

@@ -49,7 +49,7 @@ def _term(d: Diagnosis) -> str:
 
 
 def _rivals(d: Diagnosis) -> str:
-    """Return a sentence on the effects tied with the reported one, or on the next best effect."""
+    """Describe the effects tied with the reported one, or the next best effect, in a sentence."""
     if d.equivalent:
         return f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}."
     others = [r for r in d.ranking if r.effect not in d.effects]
