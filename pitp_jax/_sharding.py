@@ -135,7 +135,7 @@ def sharded_rollout(
 def sharded_inverse(
     model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
-    """Compute the voltages (V) for this process's displacements (m) from rest on all devices, by eq. 13.
+    """Compute the voltages (V) for this process's wanted displacements (m) from rest, on all devices.
 
     Args:
         model: the same in every process, without effects.

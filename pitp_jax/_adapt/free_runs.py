@@ -91,7 +91,7 @@ def runs(
     model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
     voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
 ) -> Float[Array, "rows time"]:  # fmt: skip
-    """Simulate every row with its own changed parameters; return scaled readings.
+    """Simulate every row of `voltage` with its own changed parameters; return scaled readings.
 
     `held`: 1 for rows that start in equilibrium at u(0).
     """

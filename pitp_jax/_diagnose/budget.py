@@ -63,7 +63,7 @@ class Budget:
             )
 
     def begin(self, stage: str) -> None:
-        """Report the start of a stage of the diagnosis."""
+        """Report the start of a part of the diagnosis, such as the search of sets of two effects."""
         self.stage = stage
         self.progress(stage)
 

@@ -1,4 +1,4 @@
-"""Diagnose a model: where its error lies, which effect causes it, and by how much it shrinks (docs/contract.md).
+"""Diagnose a model: where its error lies, which effect causes the error, and by how much it shrinks.
 
 records -> thinned case -> candidate sets searched out of fold -> verdict, budget, and the best model that beats the
 nominal
@@ -328,7 +328,7 @@ def _searched_without_shift(
 
 
 def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
-    """Choose the returned model; withdraw the reported effects if it lacks them or is not better by GAIN."""
+    """Choose the returned model; withdraw the reported effects if this model lacks them or is not better by GAIN."""
     handed = hand_back(search, decision, model, records, before)
     why, ranges = "", spans(search)
     if not set(decision.said) <= set(handed[0].labels):

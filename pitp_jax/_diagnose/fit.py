@@ -270,7 +270,7 @@ class Fitter:
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Predict the cost of each fit after one Gauss-Newton step; shared parameters use the fronts' derivatives.
+        """Predict the cost of each fit after one Gauss-Newton step, with the derivatives of the fits in `fronts`.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """

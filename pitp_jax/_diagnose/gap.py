@@ -160,7 +160,7 @@ def floor_percent(spans: np.ndarray, own: float) -> float:
 
 
 def own_misfit(case: Case) -> tuple[float, str]:
-    """Return the nominal's error beyond noise on its identification records (scaled), and its source in words.
+    """Return the nominal model's error beyond noise on its identification records (scaled), and its source in words.
 
     M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 

@@ -1,4 +1,4 @@
-"""Choose the model to return: the best that beats the nominal out of fold and in the package's simulation.
+"""Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
 
 The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
 nominal model's, and it stays bounded from rest under the largest voltage of the records.
@@ -25,7 +25,7 @@ _DOUBLED = 4  # times at most that the steps a sample of a returned model are do
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """Return the best hypothesis that beats the nominal out of fold (P >= SURE) and in the package's simulation.
+    """Return the best hypothesis that beats the nominal model out of fold (P >= SURE) and in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.

@@ -287,7 +287,7 @@ def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, s
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
-    """Return the nominal as a parameter vector, and whether it has parts that the vector cannot represent."""
+    """Return the nominal model as a parameter vector, and whether it has parts that the vector cannot represent."""
     slots = OFF.copy()
     core, lag, filtered = sections(model.physical_coefficients)
     slots[: min(len(core), 3)] = (core * model.scales.state[0] / model.scales.force)[:3]

@@ -1,4 +1,4 @@
-"""List the effects that the returned model adds to the nominal, with their parameters and certainty.
+"""List the effects that the returned model adds to the nominal model, with their parameters and certainty.
 
     certain   the verdict reports it
     tied      the verdict reports it, with effects that these recordings do not separate from it
@@ -38,7 +38,7 @@ _ANOTHER = "an excitation of another kind than those recorded"
 
 @dataclass(frozen=True)
 class Part:
-    """One effect that the returned model adds to the nominal, with its parameters and certainty.
+    """One effect that the returned model adds to the nominal model, with its parameters and certainty.
 
     Attributes:
         effect, form: as in the catalogue; "parameter_change" for the nominal's coefficients.
@@ -99,7 +99,7 @@ Factors = dict[str, tuple[float, float] | None]
 
 
 def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple[Model, list]) -> Parts:
-    """List the effects that the returned model adds to the nominal, with their parameters and certainty.
+    """List the effects that the returned model adds to the nominal model, with their parameters and certainty.
 
     Args:
         search, decision: of the diagnosis.

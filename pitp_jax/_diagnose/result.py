@@ -47,7 +47,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Added:
-    """One effect that the augmented model has beyond the nominal, with its parameters as in `Ranked`."""
+    """One effect that the augmented model has beyond the nominal model, with its parameters as in `Ranked`."""
 
     effect: str
     form: str
@@ -110,7 +110,7 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
 
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
-    """Return the effects that the model adds to the nominal, with parameters in physical units."""
+    """Return the effects that the model adds to the nominal model, with parameters in physical units."""
     return tuple(Added(e.name, e.form, in_units(model, e, names, fit, errors)) for e, names in added)
 
 

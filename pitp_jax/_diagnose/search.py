@@ -185,7 +185,7 @@ class Search:
         return tuple(CHANGED if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
-        """Refit the linear model without effects; if the nominal is refitted, also with other structures.
+        """Refit the linear model without effects; if the nominal model is refitted, also with other structures.
 
         Choose the structure with the fewest parameters that no other structure beats by 5 % with probability 0.9.
         Effects act on a core of order two at most, and a superfluous lag behind it would hide them. If few records make
@@ -302,7 +302,7 @@ class Search:
         return self._leaves_less(fit, self.every[frozenset(fit.names[:-1])].fit)
 
     def _leaves_less(self, fit: Fit, other: Fit) -> bool:
-        """Return whether a fit has GAIN less error than another; errors below the nominal's own count as that."""
+        """Return whether a fit has GAIN less error than another; errors below the nominal model's own count as that."""
         return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
 
     def _left(self, fit: Fit) -> float:

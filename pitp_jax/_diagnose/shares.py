@@ -33,7 +33,7 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
-    """Return the energy fractions as the `budget` of docs/contract.md; `raw`: the nominal before any fit."""
+    """Return the energy fractions as the `budget` of docs/contract.md; `raw`: the nominal model before any fit."""
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence

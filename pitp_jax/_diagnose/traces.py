@@ -1,4 +1,4 @@
-"""Simulate every record with the nominal and with the returned model."""
+"""Simulate every record with the nominal model and with the returned model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,7 +24,7 @@ class Trace:
 
 
 def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
-    """Simulate every record with the nominal and with the returned model."""
+    """Simulate every record with the nominal model and with the returned model."""
     first = predict(nominal, records)
     second = first if augmented is nominal else predict(augmented, records)
     return tuple(

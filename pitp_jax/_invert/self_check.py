@@ -66,7 +66,7 @@ class Checked:
 
 
 def check(motion: Motion, cut: Played, best: Played) -> Checked:
-    """Compute the errors of the planned voltage, and of eq. 13's voltage clipped at the limits."""
+    """Compute the errors of the planned voltage, and of the clipped voltage of the inverse model (eq. 13)."""
     own = motion.target
     percent, clipped = (e_rms_percent(played.reading[own], motion.wanted) for played in (best, cut))
     return Checked(percent, clipped, missed(best, motion), stroke(best))

@@ -44,7 +44,7 @@ class Piece:
 def invert_stream(
     model: Model | Fitted, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
 ) -> Iterator[Piece]:
-    """Compute the voltage for a displacement that arrives in blocks and starts at rest (eq. 13, no shooting).
+    """Compute the voltage for a wanted displacement that arrives in blocks and starts at rest, without shooting.
 
     Args:
         model: identified or trained, without effects.

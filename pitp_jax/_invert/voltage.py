@@ -1,4 +1,4 @@
-"""Find the voltage of a wanted motion within the limits: by eq. 13, by shooting, or by the nearest motion.
+"""Find the voltage of a wanted motion within all limits: by the inverse model (eq. 13), shooting, or a search.
 
     r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit is active
     min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         otherwise
@@ -31,7 +31,7 @@ _INTERIOR = 1e-6  # an interior point stops closer to a limit than this
 
 @dataclass(frozen=True)
 class Planned(Played):
-    """The clipped voltage of eq. 13, with the encoder's features and where force or voltage are infeasible."""
+    """The inverse model's voltage, clipped at the limits, with features and where force or voltage are infeasible."""
 
     features: np.ndarray
     infeasible: np.ndarray
@@ -39,7 +39,7 @@ class Planned(Played):
 
 
 def equation_voltage(motion: Motion, limits: Limits, reference: np.ndarray | None = None) -> Planned:
-    """Compute the voltage of a motion, or of a `reference` (m), by eq. 13; clip it, and add the ramp down."""
+    """Compute the voltage of a motion, or of a `reference` (m), by the inverse model; clip it, and add a ramp down."""
     model, dt = motion.model, motion.dt
     wanted = motion.displacement if reference is None else reference
     if model.effects:  # the target is a sensor reading, and the equation needs the motion itself
@@ -56,7 +56,7 @@ def equation_voltage(motion: Motion, limits: Limits, reference: np.ndarray | Non
 
 
 def best_voltage(motion: Motion, limits: Limits, cut: Planned, shots: int) -> Played:
-    """Improve eq. 13's voltage by shooting; if a limit is active, search the nearest motion instead."""
+    """Improve the inverse model's voltage by shooting; if a limit is active, search the nearest motion instead."""
     wanted = reference = motion.displacement
     most = _TRAVEL * travel(cut.voltage)
     best = now = cut

@@ -75,7 +75,7 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
-    """Simulate all voltages (rows); return the displacement (m) in the model's own direction."""
+    """Simulate all voltages, shape (rows, time); return the displacement (m) in the model's own direction."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.domain.age(start_time)
     # a record that starts under a voltage was most likely held there before

@@ -55,7 +55,7 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible result of training: its errors, those of the nominal, and the sensor's noise, % of range."""
+    """A possible result of training: its errors, those of the nominal model, and the sensor's noise, % of range."""
 
     model: Model
     names: tuple[str, ...]
@@ -75,7 +75,7 @@ class Candidate:
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Return (number of records worse than with the nominal, mean error); smaller is better."""
+        """Return (number of records worse than with the nominal model, mean error); smaller is better."""
         worse = int((self.worse > 1).sum())
         return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
 
@@ -104,7 +104,7 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Judge:
-    """A function that compares a model with the nominal by simulation errors on the training records."""
+    """A function that compares a model with the nominal model by simulation errors on the training records."""
 
     records: Sequence[Record]
     nominal: Float[np.ndarray, " records"]
@@ -149,7 +149,7 @@ def kept(
 
 
 def _allowed(nominal, noise):
-    """Return the largest error that does not count as worse than the nominal's, % of range."""
+    """Return the largest error that does not count as worse than the nominal model's, % of range."""
     return np.hypot(_ALIKE * np.asarray(nominal), noise)
 
 

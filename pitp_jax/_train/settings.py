@@ -182,7 +182,7 @@ def with_drive(model: Model, settings: Settings) -> Model:
 
 
 def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
-    """Return the model with its initial electrode lag, the nominal's effects, and the parts in the settings.
+    """Return the model with its initial electrode lag, the nominal model's effects, and the parts in the settings.
 
     An effect present from the start is fitted with the encoder, so that the nets need not learn it.
     """

@@ -177,7 +177,7 @@ def _settings_for(encoder, settings: Settings) -> Settings:
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
-    """Return the nominal with the sensor offset of records at rest, if its own was not measured at 0 V."""
+    """Return the nominal model with the sensor offset of records at rest, if its own was not measured at 0 V."""
     known = [b for b in begun if not b.free]
     if long is None or long.rest or not known:
         return nominal
@@ -259,7 +259,7 @@ def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, di
 
 
 def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
-    """Yield models between this one and the nominal, which comes last, with zero logits and no electrode lag."""
+    """Yield models between this one and the nominal model, which comes last, with zero logits and no electrode lag."""
     for factor in (0.7, 0.4, 0.2):
         yield replace(model, encoder=model.encoder.scaled(factor))
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
