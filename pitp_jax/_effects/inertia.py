@@ -1,5 +1,7 @@
 """Effects of additional masses, and of loads that lose contact (port M).
 
+a_2 is the mass of the nominal model, k its stiffness.
+
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')
 force_limit   |a_2 x''| <= f: an actuator that saturates behind the controller with the nominal's spring and damper

@@ -146,7 +146,7 @@ def _travelled(advance: Callable) -> Kernel:
 
 
 def dahl(width: str = "width") -> Kernel:
-    """Build Dahl's hysteresis state, which saturates at the displacement given by the parameter `width`."""
+    """Build Dahl's hysteresis state, which saturates at a displacement; `width`: name of this parameter."""
 
     def advance(p, z, before, after, h):
         r = getattr(p, width)

@@ -1,5 +1,7 @@
 """Forces with memory: creep and hysteresis (port K), and springs that change over a session (port T).
 
+k = sigma_0 is the stiffness of the nominal model.
+
 creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega_0 > 15, relaxation below
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
                     f = k kappa z,  dz = dx (1 - sgn(dx) z / r)                            (Dahl)

@@ -1,5 +1,7 @@
 """Nonlinear springs (port K): forces in addition to the linear spring force of the nominal model.
 
+k = sigma_0 is the stiffness of the nominal model; each force f is added to k x.
+
 stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
             k (L (sqrt(1 + 2|x|/L) - 1) sgn(x) - x),   k (c2 x^2 + c3 x^3 + c5 x^5)
