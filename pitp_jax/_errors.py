@@ -1,4 +1,4 @@
-"""Errors for a request that cannot be served; the command line turns them into exit codes 2 and 3.
+"""Errors for requests that cannot be served; the command line turns them into exit codes 2 and 3.
 
 A message may quote text from a file: `cleaned` removes the control characters that a terminal would execute.
 """
@@ -9,15 +9,15 @@ from collections.abc import Sequence
 
 
 class BadInput(ValueError):
-    """Bad input or usage: one line that names the file, the place and the remedy (exit code 2)."""
+    """Bad input or usage; the message is one line with the file, the place and the remedy (exit code 2)."""
 
 
 class ComputationFailed(RuntimeError):
-    """The computation itself failed (diverged, order not identifiable): one line with advice (exit code 3)."""
+    """A failed computation, such as a diverged simulation; the message is one line with advice (exit code 3)."""
 
 
 def refuse_traced(name: str, instead: str, *values: object) -> None:
-    """Refuse values that JAX traces: `name` runs on the host.
+    """Refuse values that JAX traces, because the function `name` runs on the host only.
 
     Raises:
         BadInput: with the function to use under jit, vmap and grad.
@@ -28,12 +28,12 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
 
 
 def cleaned(text: object) -> str:
-    """Return a text from outside with control and format characters, which a terminal or page would obey, as `_`."""
+    """Replace control and format characters in a text by `_`, because a terminal or page would obey them."""
     return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
 
 
 def by_option(words: Sequence[str]) -> list[list[str]]:
-    """Return the words of a command line as options, each with its values."""
+    """Group the words of a command line by option: each option with its values."""
     groups: list[list[str]] = []
     for word in words:
         if word.startswith("--") or not groups:

@@ -1,4 +1,4 @@
-"""Measures of the error between a prediction and a measurement, each with a stated normaliser.
+"""Measures of the error between a prediction and a measurement, each with its normaliser.
 
     rmse         = sqrt(mean (x_p - x_e)^2)
     e_rms  / %   = 100 rmse / (max x_e - min x_e)                                             (paper, eq. 15)
@@ -22,7 +22,7 @@ def _counted(predicted, measured, mask) -> np.ndarray:
 
 
 def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Compute the root-mean-square error, in the unit of the data.
+    """Compute the root-mean-square error of a prediction, in the unit of the data.
 
     Args:
         predicted: x_p, shape (T,).
@@ -51,7 +51,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
 
 
 def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Compute the RMS error in percent of the measured range, eq. 15.
+    """Compute the RMS error of a prediction in percent of the measured range (eq. 15).
 
     Normaliser: max x_e - min x_e over the counted samples. nan where that is zero. Arguments as for `rmse`.
 
@@ -74,7 +74,7 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
 
 
 def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
-    """Compute the RMS error in percent of the measured standard deviation.
+    """Compute the RMS error of a prediction in percent of the measurement's standard deviation.
 
     Normaliser: population standard deviation (ddof = 0) of x_e over the counted samples, so predicting the
     mean scores 100. nan where that is zero. Arguments as for `rmse`.
@@ -105,7 +105,7 @@ def rmhe_percent(
     mask: np.ndarray | None = None,
     levels: int = 512,
 ) -> float:
-    """Compute the maximum hysteresis error in percent, eq. 16: the widest place of the loop within one cycle.
+    """Compute the maximum hysteresis error in percent (eq. 16): the largest width of the loop in one cycle.
 
     The loop is the closed polygon of the points (x_e, x_r); at a level of x_e its width is the spread of x_r
     there, as eq. 16 has it. Normaliser: max x_r - min x_r over the cycle. For sines of lag phi it is 100 |sin

@@ -28,7 +28,7 @@ _AXIS = "records"
 
 
 def records_mesh(devices: Sequence | None = None) -> Mesh:
-    """Return a mesh that is a line of devices, by default all of all processes.
+    """Build a mesh with one axis for records; by default it has all devices of all processes.
 
     Args:
         devices: in order; None takes all devices of all processes.
@@ -44,7 +44,7 @@ def records_mesh(devices: Sequence | None = None) -> Mesh:
 
 
 def spread(batch, mesh: Mesh):
-    """Put this process's records (leading axis of every array) on its devices, padded with copies of the last one.
+    """Distribute this process's records over its devices, padded with copies of the last record.
 
     Every process passes the same number of records.
     """
@@ -66,7 +66,7 @@ def spread(batch, mesh: Mesh):
 
 
 def local_rows(array: Array, count: int) -> np.ndarray:
-    """Return the first `count` records of this process."""
+    """Return the first `count` records of this process as one array."""
     # the order of shards is not guaranteed
     shards = sorted(array.addressable_shards, key=lambda shard: shard.index[0].start or 0)
     return np.concatenate([np.asarray(shard.data) for shard in shards])[:count]
@@ -74,7 +74,7 @@ def local_rows(array: Array, count: int) -> np.ndarray:
 
 @jit
 def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """Run function(model, *batch) on every device's own records, in parallel."""
+    """Run function(model, *batch) on all devices in parallel, each with its own records."""
     # `shard_map` takes only arrays; static values are in the function
     arrays, static = eqx.partition(model, eqx.is_array)
 
@@ -108,7 +108,7 @@ def sharded_rollout(
     start: Float[np.ndarray, "records state"],
     mesh: Mesh,
 ) -> Float[np.ndarray, "records time state"]:
-    """Roll out this process's records under their voltages (V); return scaled states, as `decoder.rollout_batch`.
+    """Simulate this process's records under their voltages (V) on all devices; return scaled states.
 
     Args:
         model: the same in every process.
@@ -135,7 +135,7 @@ def sharded_rollout(
 def sharded_inverse(
     model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
 ) -> Float[np.ndarray, "records time"]:
-    """Invert this process's displacements from rest (model coordinates, m) by eq. 13; return voltages (V).
+    """Compute the voltages (V) for this process's wanted displacements (m) from rest, on all devices.
 
     Args:
         model: the same in every process, without effects.

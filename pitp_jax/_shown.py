@@ -1,4 +1,4 @@
-"""Display of a result: a repr of at most ten lines, a table, and HTML for a notebook."""
+"""Show a result: a text of at most ten lines, a table, and HTML for a notebook."""
 
 from collections.abc import Sequence
 from dataclasses import fields
@@ -14,7 +14,7 @@ _LINES, _ROWS, _WIDTH = 10, 25, 100
 
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
-    """Return a DataFrame of arrays by name, or of dicts; nested ones make columns like `zero_value`."""
+    """Build a DataFrame from arrays by name, or from dicts; nested dicts make columns such as `zero_value`."""
     import pandas as pd  # imported here, because it takes half a second
 
     if isinstance(rows, dict):
@@ -23,13 +23,13 @@ def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
 
 
 class Shown:
-    """A frozen dataclass that a terminal and a notebook can show; `_rows` is its table.
+    """A frozen dataclass that a terminal and a notebook can show; `_rows` gives its table.
 
     `@dataclass(repr=False)` inherits this repr: one line per field, arrays by their size and range.
     """
 
     def _rows(self) -> Any:
-        """Return dicts, one a row, or arrays of one length by name; by default the fields' one-dimensional arrays."""
+        """Return the table as dicts (one per row), or as arrays of one length by name (by default the fields)."""
         arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and _is_array(v)}  # pyright: ignore[reportArgumentType]
         longest = max(map(len, arrays.values()), default=0)  # series over time, not a few coefficients
         return {name: v for name, v in arrays.items() if len(v) == longest}
@@ -44,7 +44,7 @@ class Shown:
         return "\n".join([name, *lines[: _LINES - 1]])
 
     def _repr_html_(self) -> str:
-        """Return its repr, and the first rows of its table, as HTML."""
+        """Return the text of the result, and the first rows of its table, as HTML."""
         table = self.frame().head(_ROWS)
         drawn = table.to_html(index=False, border=0, float_format="{:.5g}".format) if table.size else ""
         return f"<pre>{escape(repr(self))}</pre>{drawn}"
@@ -55,7 +55,7 @@ def _is_array(value) -> bool:
 
 
 def _brief(value) -> str:
-    """Return a field in one short line."""
+    """Describe the value of a field in one short line."""
     if _is_array(value) and np.ndim(value):
         numbers = np.asarray(value, float)
         seen = numbers[np.isfinite(numbers)]

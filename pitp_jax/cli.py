@@ -56,7 +56,7 @@ class _Once(argparse.Action):
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose usage errors are one line with exit code 2; an option that is not a list is given once."""
+    """A parser whose usage errors are one line with exit code 2; options that are not lists are given once."""
 
     def __init__(self, **named):
         super().__init__(**named)
@@ -68,7 +68,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one `pitp` command.
+    """Run one `pitp` command; return its exit code.
 
     Args:
         argv: arguments after the program's name; None takes the process's own.
@@ -122,14 +122,14 @@ def _joined(argv: Sequence[str]) -> list[str]:
 
 
 def _say_anything() -> None:
-    """Make a terminal print escapes for letters it lacks (Windows' code pages have no superscript minus)."""
+    """Make output streams escape characters that the terminal lacks, such as a superscript minus."""
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")
 
 
 def _explain(error: Exception) -> tuple[int, str]:
-    """Turn any error that ended a command into an exit code and one line."""
+    """Turn an error that ended a command into an exit code and one line of text."""
     text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay, because headers may hold several
     if isinstance(error, BadInput):
         return 2, text
@@ -303,7 +303,7 @@ _RANGE = {"from": "from_s", "to": "to_s"}  # options whose names in Python diffe
 
 
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
-    """Add the options of `pitp.read` (or `read_target`, or `read_voltage`) about the columns of files."""
+    """Add the options that choose the columns of files, as in `pitp.read`, `read_target` or `read_voltage`."""
     group = parser.add_argument_group(
         "columns of the files", "by default, chosen by the names and units in the headers"
     )

@@ -1,4 +1,4 @@
-"""Adapt: updates a few parameters of a model from a short recording of the same actuator on another day.
+"""Adapt a model: update a few parameters from a short recording of the same actuator on another day.
 
     measured = direction x(t; factors) + offset + noise,  factors on stiffness, damping, inertia, gain, electrode, creep
 

@@ -1,4 +1,4 @@
-"""Adapt a model: find which parameters a short recording of another day has changed, if any.
+"""Adapt a model: find which parameters have changed, from a short recording of another day.
 
     offset, direction, initial state -> all factors by least squares -> a subset of them by evidence
     -> those alone, on the first half of the recording: kept if the held-out second half confirms them
@@ -37,7 +37,7 @@ _MOVES = 0.2  # spread of a half relative to the whole below which it proves not
 
 @dataclass(frozen=True)
 class Changed:
-    """One changed parameter.
+    """The change of one parameter, with its 95 % interval.
 
     Attributes:
         factor, ci95: new over old, and the ends of its 95 % interval; nan where the model's own was practically zero.
@@ -51,13 +51,13 @@ class Changed:
 
     @property
     def is_significant(self) -> bool:
-        """Return whether the interval of the factor excludes 1."""
+        """Return whether the 95 % interval of the factor excludes 1."""
         return not self.ci95[0] <= 1.0 <= self.ci95[1]
 
 
 @dataclass(frozen=True, repr=False)
 class Adaptation(Shown):
-    """The result of `adapt`: verdict, changed parameters and model.
+    """The verdict of an adaptation, with the changed parameters and the model to use from now on.
 
     Attributes:
         model: the given one if unchanged, otherwise with the changed parameters.
@@ -82,14 +82,14 @@ class Adaptation(Shown):
         return [{"name": name, **vars(c), "significant": c.is_significant} for name, c in self.changed.items()]
 
     def as_json(self) -> dict:
-        """Return the dict of `pitp adapt --json`."""
+        """Return the adaptation as the dict of `pitp adapt --json`."""
         rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
         values = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
         return {**values, "heldout": self.heldout}
 
 
 def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptation:
-    """Test whether a model still holds for a recording, and find which of its parameters changed.
+    """Test whether a model still holds for a recording, and find which of the model's parameters changed.
 
     Args:
         model: identified or trained, with any effects.
@@ -142,7 +142,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
 
 
 def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
-    """Accept a change if it lowers the error; advise retraining if the error stays far above the model's own level."""
+    """Accept a change if it lowers the error; advise a new training if the error stays far above its level."""
     verdict: Verdict = "unchanged"
     remaining = before
     if new is not None and after is not None and after < _KEPT * before:
@@ -161,14 +161,14 @@ _ADVICE = (
 
 
 def _model_error(fit: Fit, seen: Session, own: float) -> float:
-    """Return the model's error in a fit without noise, % of range; at least a fraction of its own level."""
+    """Return the rms error of a fit without sensor noise, % of range; at least a fraction of `own`."""
     square = e_rms(fit, np.ones_like(seen.half), seen) ** 2 - float(np.mean(seen.noise**2))
     # a short record may be fitted by chance: its parameters are not more certain than the model was
     return max(square, (_SURE * own) ** 2) ** 0.5
 
 
 def _moves(seen: Session, half: np.ndarray) -> bool:
-    """Return whether the chosen half of every recording moves at least a fifth as much as the whole recording."""
+    """Return whether the chosen half of each recording moves at least a fifth as much as the whole recording."""
     counts = seen.weight > 0
     spreads = [[float(np.std(x[c])) if c.sum() > 64 else 0.0 for c in (here, all_)]
                for x, here, all_ in zip(seen.target, counts & (half > 0), counts, strict=True)]  # fmt: skip
@@ -176,7 +176,7 @@ def _moves(seen: Session, half: np.ndarray) -> bool:
 
 
 def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Changed]:
-    """Return the named parameters with intervals that allow any value of the others.
+    """Return the named parameters with intervals for which the other parameters may have any value.
 
     A parameter without a reported change is not known to be 1.
     """
@@ -196,7 +196,7 @@ def _changed(factors: Factors, names, moves, fit: Fit, spread) -> dict[str, Chan
 
 
 def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Record], changed) -> Fitted:
-    """Build the adapted model; the adaptation is added to its origin."""
+    """Build the adapted model, and add the adaptation to its origin."""
     model = adapted(fitted.model, factors, z, records[0].dt)
     if model.order >= 3:
         # with an encoder the sections are the units of its logits, and keep their trained values
@@ -217,6 +217,6 @@ def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Rec
 
 
 def e_rms(fit: Fit, weight: np.ndarray, seen: Session) -> float:
-    """Compute e_rms in % of range; squares are averaged over records with equal weight."""
+    """Compute e_rms of a fit in % of range, with equal weight for every record."""
     counts = (seen.weight > 0) * weight
     return float(np.sqrt(np.mean((fit.residual**2 * counts).sum(1) / np.maximum(counts.sum(1), 1))))

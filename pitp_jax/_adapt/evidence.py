@@ -1,4 +1,4 @@
-"""Decide which parameters changed by the evidence of every subset, with coloured residuals.
+"""Decide which parameters changed, by the evidence of every subset of them, with coloured residuals.
 
     z_hat ~ N(A q, C),   q ~ N(0, P):    ln p(z_hat, subset) = ln N(z_hat; 0, C + A P A') + ln p(subset)
     C = H^-1 M H^-1 + s^2 / N (J'J / T)^-1,      M = sum_f |e_f|^2 J_f* J_f' / T^2,   H = J'J
@@ -25,7 +25,7 @@ _ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at mo
 def covariance(
     residual: Float[np.ndarray, "records time"], jacobian: Float[np.ndarray, "samples numbers"], model_error: float
 ) -> Float[np.ndarray, "numbers numbers"]:
-    """Return C of a least-squares estimate from its residuals, their derivatives, and the noise-free model error."""
+    """Return the covariance of a least-squares estimate, from its residuals, derivatives and model error."""
     count = jacobian.shape[1]
     slopes = np.fft.rfft(jacobian.reshape(*residual.shape, -1), axis=1)
     power = np.abs(np.fft.rfft(residual, axis=1)) ** 2
@@ -44,7 +44,7 @@ def covariance(
 
 
 def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
-    """Yield every set of named parameters; gain represents all coefficients, so it excludes single ones.
+    """Yield every subset of parameters; "gain" changes all coefficients, so it excludes single ones.
 
     The slopes over the stroke are in every subset with a coefficient, because it rarely changes equally over the
     stroke.
@@ -59,17 +59,17 @@ def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
 
 
 def directions(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """Return A, which maps changes of named parameters to all coordinates, shape (numbers, names)."""
+    """Return the matrix A from changes of named parameters to all coordinates z, shape (numbers, names)."""
     return np.stack([factors.direction(n) for n in names], 1) if names else np.zeros((len(factors.names), 0))
 
 
 def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
-    """Return the standard deviations of named parameters; the gain has that of a coefficient."""
+    """Return the prior standard deviations of named parameters; "gain" has that of a coefficient."""
     return np.array([factors.prior[0 if n == "gain" else factors.names.index(n)] for n in names])
 
 
 def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ...]:
-    """Choose the changed parameters: none without evidence of a change, otherwise the least z' C^-1 z + 4 size.
+    """Choose the changed parameters from the estimate z and its covariance; none without evidence of a change.
 
     The evidence, with its priors, decides whether anything changed. The estimate alone decides which parameters
     changed; each must differ by two standard deviations.
@@ -98,6 +98,6 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
 
 
 def combined(moves: np.ndarray, z: np.ndarray, spread: np.ndarray) -> np.ndarray:
-    """Return the named parameters nearest to an estimate of all coordinates: (A' C^-1 A)^-1 A' C^-1 z."""
+    """Return the named parameters that best fit an estimate z of all coordinates, weighted by its covariance."""
     weighed = np.linalg.solve(spread, moves)
     return np.linalg.solve(moves.T @ weighed, weighed.T @ z)

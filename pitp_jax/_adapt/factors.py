@@ -1,4 +1,4 @@
-"""Change a model by factors: the few parameters by which one actuator differs from itself on another day.
+"""Change a model by the few parameters in which an actuator differs from itself on another day.
 
     stiffness on sigma_0 and the restoring sigma_off,   damping on sigma_1,   inertia on sigma_2,   a3, ... on the rest
     creep on m - x (lags that the recording outlasts),  tau_electrode and T_delay plus their increase
@@ -33,7 +33,7 @@ TILTS = ("gain over the stroke", "stiffness over the stroke")
 
 
 class Factors(NamedTuple):
-    """The coordinates z of one model.
+    """The coordinates z in which one model may change, with their priors.
 
     Attributes:
         names: of the coordinates; `tokens` of them are of coefficients, first.
@@ -54,22 +54,22 @@ class Factors(NamedTuple):
     delay: float
 
     def direction(self, name: str) -> np.ndarray:
-        """Return the direction of one named parameter, shape (numbers,)."""
+        """Return the direction of a named parameter in the coordinates z, shape (numbers,)."""
         if name == "gain":
             return np.where(np.arange(len(self.names)) < self.tokens, -1.0, 0.0)
         return np.eye(len(self.names))[self.names.index(name)]
 
     def lowest(self) -> np.ndarray:
-        """Return the values at which a time is zero; logarithms have no bound."""
+        """Return the lower bounds of z: a time constant or delay is not negative; logarithms have no bound."""
         times = {"electrode_tau": -self.tau / self.unit, "delay": -self.delay / self.unit}
         return np.array([times.get(n, -np.inf) for n in self.names])
 
     def own(self, name: str) -> float:
-        """Return the model's own value of that time constant, s."""
+        """Return the model's own electrode time constant or delay, s."""
         return float(self.tau if name == "electrode_tau" else self.delay)
 
     def factor(self, name: str, q: float) -> float:
-        """Return the factor of a named parameter changed by q; nan if the model's own was practically zero."""
+        """Return the factor on a named parameter for a change q; nan if the model's own value is almost zero."""
         if name not in TIMES:
             with np.errstate(over="ignore"):  # an unknown factor may be infinite
                 return float(np.exp(q))
@@ -78,7 +78,10 @@ class Factors(NamedTuple):
 
 
 def factors_of(model: Model, seconds: float, middle: float) -> Factors:
-    """Return the parameters that a recording of this duration (s) about this scaled displacement may change."""
+    """Return the coordinates that may change.
+
+    `seconds`: duration of the recording; `middle`: its mean scaled displacement.
+    """
     n = model.order
     names = [*_FIRST[: n + 1], *(f"a{i}" for i in range(3, n + 1))]
     prior = [_COEFFICIENT] * (n + 1)
@@ -104,7 +107,7 @@ def factors_of(model: Model, seconds: float, middle: float) -> Factors:
 
 
 def _lags(model: Model) -> Array:
-    """Return the logarithms of the time constants of lags of x among the memories that an encoder sees."""
+    """Return the logarithms of the time constants (s) of the memories that an encoder sees."""
     memory = model.memory
     if isinstance(plain(model.encoder), ConstantEncoder) or not isinstance(memory, FadingMemory | RingingMemory):
         return jnp.zeros((0,))
@@ -112,7 +115,7 @@ def _lags(model: Model) -> Array:
 
 
 def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers *rows"], dt: float) -> Model:
-    """Return the model with these parameters changed; with rows of z, coefficients and encoder factors have rows too.
+    """Return the model changed by z; with several columns of z, its coefficients have as many columns.
 
     `dt`: sampling interval of the records, s.
     """
@@ -138,7 +141,7 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
 
 
 def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
-    """Wrap the encoder for adaptation; an adapted encoder is adapted further, not wrapped again."""
+    """Wrap the encoder for an adaptation; an encoder that is already adapted is adapted further."""
     outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
     offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
     own, reach = model.encoder, factors.reach
@@ -149,7 +152,7 @@ def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array)
 
 
 def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
-    """Return the model with a longer electrode lag, in its drive or in an effect."""
+    """Return the model with a longer electrode time constant, in its drive or in an effect."""
     tau = factors.tau + factors.unit * z
     if isinstance(model.drive, DirectDrive) and any(e.name == "electrode_rc" for e in model.effects):
         place = next(k for k, e in enumerate(model.effects) if e.name == "electrode_rc")
@@ -160,7 +163,7 @@ def _later(model: Model, factors: Factors, z: Array, dt: float) -> Model:
 
 
 def adapted(model: Model, factors: Factors, z: np.ndarray, dt: float) -> Model:
-    """Return the model to store with these parameters changed; unchanged parts are the old ones."""
+    """Return the model changed by z as it is stored; unchanged parts are the old objects."""
     by = dict(zip(factors.names, z, strict=True))
     new = moved(model, factors, z, dt)
     if not by.get("electrode_tau"):

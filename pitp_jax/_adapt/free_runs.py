@@ -1,4 +1,4 @@
-"""Fit free runs of a model to recordings, with many sets of its factors at once.
+"""Fit simulations of a model to recordings, for many sets of its changed parameters at once.
 
     e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
 
@@ -67,7 +67,7 @@ class Session(NamedTuple):
 def session(
     model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning], noise
 ) -> Session:
-    """Prepare recordings of one sampling rate, from `begin` of `_simulate.prediction`; `noise` of each sensor (m)."""
+    """Prepare recordings for the fit; `noise`: standard deviation of each sensor's noise (m)."""
     size = -(-max(r.samples for r in records) // 1024) * 1024  # few lengths, few programs to compile
     voltage, target, weight, half = (np.zeros((len(records), size)) for _ in range(4))
     loose, floor = np.zeros(len(records)), np.zeros(len(records))
@@ -91,7 +91,10 @@ def runs(
     model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
     voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
 ) -> Float[Array, "rows time"]:  # fmt: skip
-    """Run every row with its own parameters; return scaled readings. `held`: 1 if it starts settled at u(0)."""
+    """Simulate every row of `voltage` with its own changed parameters; return scaled readings.
+
+    `held`: 1 for rows that start in equilibrium at u(0).
+    """
     if held is not None:
 
         def settled(z, u):
@@ -114,7 +117,7 @@ def runs(
 
 
 class Fit(NamedTuple):
-    """The result of a fit.
+    """The result of a least-squares fit.
 
     Attributes:
         z: the fitted parameters.
@@ -128,7 +131,7 @@ class Fit(NamedTuple):
 
 
 class Problem:
-    """Least squares of a session's free runs over some of a model's factors."""
+    """A least-squares fit of simulations to recordings, over some of a model's changed parameters."""
 
     def __init__(self, model: Model, factors: Factors, seen: Session, level: float):
         self.model, self.factors, self.seen, self.level = model, factors, seen, level
@@ -136,7 +139,7 @@ class Problem:
         self.shifts = seen.start.shape[1] if self.moving else 0
 
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
-        """Run rows of (parameters, shift of the first state); return scaled readings, shape (rows, records, T)."""
+        """Simulate rows of (parameters z, shift of initial states); return scaled readings, (rows, records, T)."""
         s, records, wanted = self.seen, len(self.seen.voltage), len(z)
         rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always as many: one program for every fit
         z, shift = (np.concatenate([a, np.repeat(a[:1], rows - wanted, 0)]) for a in (z, shift))
@@ -152,11 +155,11 @@ class Problem:
         return np.asarray(y, np.float64).reshape(rows, records, -1)[:wanted]
 
     def at(self, z: np.ndarray, weight: np.ndarray) -> Fit:
-        """Fit only the nuisance parameters (offsets, first states), with these parameters fixed."""
+        """Fit only offsets and initial states, with the parameters z fixed."""
         return self.fit(np.zeros((len(z), 0)), weight, np.zeros(0), fixed=z)
 
     def guess(self) -> np.ndarray:
-        """Return the start of least squares: the best of several inertias (or stiffnesses), each at its best gain.
+        """Return the initial guess of the fit: the best of several inertias, each with its best gain.
 
         A resonance shifted by more than its width reverses the phase, and the cost has no descending path past that.
         """
@@ -178,7 +181,7 @@ class Problem:
         self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
         first: np.ndarray | None = None, fixed: np.ndarray | float = 0.0,
     ) -> Fit:  # fmt: skip
-        """Fit the parameters z = fixed + free q by least squares, together with nuisance parameters.
+        """Fit the parameters z = fixed + free q by least squares, together with offsets and initial states.
 
         Args:
             free: directions that may change, shape (numbers, q).

@@ -1,4 +1,4 @@
-"""Diagnosis: finds where a model and recordings disagree, which effect is missing, and how much of the gap it closes.
+"""Diagnose a model: where it disagrees with recordings, which effect is missing, how much that explains.
 
     sum_i a_i x^(i) = coupling(V, x) - f_effect(x, x', states),   every candidate set scored out of fold
 

@@ -1,4 +1,4 @@
-"""The computing budget of a diagnosis: counted simulation steps, and wall time if the user limits it.
+"""The computing budget of a diagnosis: a number of simulated steps, and wall time if the user limits it.
 
 Counting makes the answer the same on every computer. If the budget ends early, this is reported with the best answer so
 far.
@@ -19,7 +19,7 @@ _KNOWN = 0.01  # fraction of the steps after which the time left is printed
 
 @dataclass
 class Budget:
-    """The time limit, the simulation steps so far, and what was not tried.
+    """The time and step limits of a diagnosis, the steps simulated so far, and the work that was skipped.
 
     Attributes:
         seconds: of wall time; infinite: no limit.
@@ -46,7 +46,7 @@ class Budget:
     _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
 
     def count(self, lane_steps: int) -> None:
-        """Add simulated steps, and report progress every few seconds."""
+        """Add simulated steps to the count, and report progress every few seconds."""
         self.lane_steps += lane_steps
         elapsed, (last, steps) = self.elapsed, self._reported
         if elapsed - last >= _EVERY_S:
@@ -63,18 +63,18 @@ class Budget:
             )
 
     def begin(self, stage: str) -> None:
-        """Report the start of a stage."""
+        """Report the start of a part of the diagnosis, such as the search of sets of two effects."""
         self.stage = stage
         self.progress(stage)
 
     @property
     def elapsed(self) -> float:
-        """Return the seconds since the start."""
+        """Return the wall time since the start, s."""
         return time.monotonic() - self.began
 
     @contextmanager
     def keeping(self, lane_steps: int) -> Iterator[None]:
-        """Reserve the time and the count of so many steps for the work after the search."""
+        """Reserve time and simulated steps for the work that follows a `with` block."""
         seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
         before = self.reserve, self.most
         self.reserve += seconds if np.isfinite(self.seconds) else 0.0
@@ -85,31 +85,31 @@ class Budget:
             self.reserve, self.most = before
 
     def stop(self, what: str) -> None:
-        """Stop all further work, and note what was not tried."""
+        """Stop all further work, and note the work that was skipped."""
         self.stopped = True
         self.skipped += [what]
 
     @property
     def remaining(self) -> float:
-        """Return the remaining seconds, negative beyond the limit."""
+        """Return the remaining wall time, s; negative beyond the limit."""
         if self.stopped:
             return 0.0
         return self.seconds - self.elapsed
 
     @property
     def spent(self) -> bool:
-        """Return whether a search must end."""
+        """Return whether the time or the simulated steps of a search are used up."""
         return self.stopped or self.lane_steps >= self.most or self.remaining <= self.reserve
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
-        """Return whether enough seconds of the search remain for `what`; otherwise note it as not tried."""
+        """Return whether more than `needed` seconds of the search remain; otherwise note `what` as not tried."""
         if not self.spent and self.remaining - self.reserve > needed:
             return True
         self.skipped += [what] if what not in self.skipped else []
         return False
 
     def notes(self) -> tuple[str, ...]:
-        """Return one line if anything was skipped."""
+        """Return one line on the skipped work; empty if nothing was skipped."""
         if not self.skipped:
             return ()
         after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"

@@ -1,4 +1,4 @@
-"""Remove a time shift between the columns of records, a fault of their clocks and not of the machine.
+"""Remove a time shift between the columns of records, a fault of their clocks and not of the actuator.
 
     y(t) = x(t + T)    ->    x(t) = y(t - T)
 
@@ -16,7 +16,7 @@ from .._report.numbers import number
 
 
 def put_back(records: Sequence[Record], early: float) -> tuple[Record, ...]:
-    """Return the records with the output delayed by so many seconds, without the first samples that lack one."""
+    """Delay the output of every record by `early` seconds, and cut the first samples, which then have no output."""
     return tuple(_later(r, early) for r in records)
 
 
@@ -32,7 +32,7 @@ def _later(record: Record, early: float) -> Record:
 
 
 def remark(early: float, dt: float) -> str:
-    """Return a remark on the time shift, with a check for the user."""
+    """Describe the removed time shift in one line, with a check for the user."""
     return (
         f"clock_shift: the output column is {number(1e3 * early, 3)} ms ({number(early / dt, 2)} samples) early beside "
         "the input column: it answers before the input changes. This is a fault of the recordings, not an effect; it "

@@ -1,4 +1,4 @@
-"""The data of a diagnosis: records with a nominal model, thinned, in the model's scaled coordinates, with folds.
+"""Prepare recordings for a diagnosis: thinned, in the model's scaled units, with folds for cross-validation.
 
     a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
                                                                    lag or a filter of the output for the others)
@@ -37,7 +37,7 @@ _AROUND = 1e-3  # of the force's energy: outside of the band that was excited
 
 @dataclass(frozen=True)
 class Series:
-    """One thinned record.
+    """A thinned record in the model's scaled units.
 
     Attributes:
         record: as given.
@@ -61,7 +61,7 @@ class Series:
 
 @dataclass(frozen=True)
 class Case:
-    """A nominal model with its records.
+    """A nominal model with thinned records, their simulator, and the folds for cross-validation.
 
     Attributes:
         model: the nominal.
@@ -84,16 +84,16 @@ class Case:
 
     @property
     def dt(self) -> float:
-        """Return the step between thinned samples, s."""
+        """Return the time between thinned samples, s."""
         return self.simulator.drives[0].dt
 
     @property
     def blocks(self) -> int:
-        """Return the number of blocks in every record; 1: records are left out whole."""
+        """Return the number of blocks that each record is cut into for cross-validation; 1: it is left out whole."""
         return _parts(len(self.series))
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
-        """Return weights 0 or 1 of the samples used by a fit without a fold; None: all valid samples."""
+        """Return weights 0 or 1 of the samples that a fit without this fold uses; None: all valid samples."""
         rows = [s.counts.astype(float) for s in self.series]
         if fold is not None:
             for k in self.folds[fold]:
@@ -101,27 +101,27 @@ class Case:
         return rows
 
     def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:
-        """Return the samples of a record that a fold leaves out."""
+        """Return the slice of a record's samples that a fold leaves out."""
         size, block = len(self.series[record].output), fold % self.blocks
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
         return slice(max(first - margin, 0), last + margin)
 
     @property
     def recordings(self) -> dict[str, list[int]]:
-        """Return the indices of the pieces of every recording, by its name."""
+        """Return the indices of the pieces of each recording, by the recording's name."""
         places: dict[str, list[int]] = {}
         for k, s in enumerate(self.series):
             places.setdefault(s.record.name, []).append(k)
         return places
 
     def alone(self, places: Sequence[int]) -> "Case":
-        """Return the same case with some of its records only."""
+        """Return the case with only the records of these indices."""
         series = tuple(self.series[k] for k in places)
         simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
         return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
 
     def screened(self) -> list[np.ndarray]:
-        """Return samples for the first steps of a fit: of the records with the largest motion, `_ENOUGH` in all."""
+        """Return weights 0 or 1 of the samples for the first steps of a fit: `_ENOUGH` of the largest motions."""
         rows = [s.counts.astype(float) for s in self.series]
         kept = 0
         for k in np.argsort([-s.span for s in self.series], kind="stable"):
@@ -131,7 +131,7 @@ class Case:
         return rows
 
     def tested(self, fold: int) -> list[np.ndarray]:
-        """Return the samples on which a fold is scored."""
+        """Return, for every record, the mask of the samples on which a fold is scored."""
         rows = [np.zeros(len(s.output), bool) for s in self.series]
         for k in self.folds[fold]:
             place = self._left_out(fold, k)
@@ -142,7 +142,7 @@ class Case:
 def build_case(
     model: Model, records: Sequence[Record], devices: Sequence = (), whole: Sequence[Record] | None = None
 ) -> Case:
-    """Thin the records, remove their offsets and directions, and determine their initial states.
+    """Build the case: thin the records, remove their offsets and directions, and estimate their initial states.
 
     Args:
         model: the nominal.
@@ -194,7 +194,7 @@ def build_case(
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
-    """Return the force's integral, exact for a voltage held or linear between samples."""
+    """Integrate the drive term (V^2 or V) over time, exactly for a voltage constant or linear between samples."""
     a, b = voltage[:-1], voltage[1:]
     force = voltage * np.abs(voltage) if square else voltage
     ramp = np.sign(a + b) * (a * a + a * b + b * b) / 3 if square else (a + b) / 2
@@ -204,7 +204,7 @@ def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest
 
 
 def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
-    """Return V|V| at every sample such that straight lines between them have the area of the squared ramps of V.
+    """Return V|V| such that straight lines between samples have the same area as the square of a linear V.
 
     A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
     It is subtracted from the larger end. Otherwise a step within a record would come a sixth of a sample early.
@@ -221,18 +221,18 @@ def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
 
 
 def _omega(slots: np.ndarray) -> float:
-    """Return the frequency of an oscillating core, rad/s; 0 if it is damped or has no spring."""
+    """Return the natural frequency of an oscillating linear core, rad/s; 0 if it does not oscillate."""
     a0, a1, a2 = (slots[INDEX[k]] for k in CORE)
     return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
 
 
 def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
-    """Return the number of simulation steps between thinned samples `dt` (s) apart."""
+    """Return the number of simulation steps per thinned sample of `dt` (s)."""
     return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
 
 
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
-    """Return how many samples to average: `PERIOD` samples per period of the fastest mode or input remain."""
+    """Return how many samples to average into one: `PERIOD` per period of the fastest mode or input remain."""
     dt = records[0].dt
     forces = [model.input_map.force(r.voltage) for r in records]
     fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
@@ -242,12 +242,12 @@ def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most:
 
 
 def _parts(records: int) -> int:
-    """Return the number of parts of each record that gives enough folds."""
+    """Return the number of parts that each of so many records is cut into, so that there are enough folds."""
     return -(-FEWEST_FOLDS // records)
 
 
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
-    """Return the records left out together: single ones, at most six groups, or blocks if there are few records.
+    """Return, for each fold, the indices of the records left out: at most six groups, or parts of few records.
 
     With at least four recordings all pieces of one are left out together; with fewer every piece counts as a record.
     """
@@ -264,7 +264,7 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
 
 
 def _beside(case: Case, records) -> Case:
-    """Return the case of a trained nominal, or one with effects that slots cannot hold.
+    """Subtract from the measurement the model's parts that the search cannot represent, such as an encoder.
 
     Their difference from the linear model is subtracted from the measurement, so that the slots describe the change
     alone.
@@ -280,14 +280,14 @@ def _beside(case: Case, records) -> Case:
 
 
 def excited_hz(case: Case) -> tuple[float, float]:
-    """Return the frequency band (Hz) with 99.9 % of the force's energy and equal remainders on both sides."""
+    """Return the band (Hz) with 99.9 % of the drive term's energy, and equal remainders on both sides."""
     forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
     ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
     return ends[0], ends[1]
 
 
 def excitations(case: Case) -> int:
-    """Return the number of distinct excitations: sixths of records that differ by 15 % in spread or frequency."""
+    """Count the distinct excitations: sixths of records whose inputs differ by 15 % in spread or frequency."""
     rows = []
     for d in case.simulator.drives:
         for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump

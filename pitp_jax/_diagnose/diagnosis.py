@@ -1,4 +1,4 @@
-"""The diagnosis: where the gap lies, which effect causes it, and by how much it shrinks (docs/contract.md).
+"""Diagnose a model: where its error lies, which effect causes the error, and by how much it shrinks.
 
 records -> thinned case -> candidate sets searched out of fold -> verdict, budget, and the best model that beats the
 nominal
@@ -71,7 +71,7 @@ _IN_PARTS = (
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """The result of `diagnose`.
+    """A verdict on the errors of a model, with the reported effects, their evidence and the improved model.
 
     Attributes:
         verdict: "explained", "partly", "no_gap" or "unknown".
@@ -127,11 +127,11 @@ class Diagnosis:
 
     @property
     def records(self) -> dict[str, list]:
-        """Return which records were fitted, which were predicted out of fold, and which were left out together."""
+        """Return the names of the records that were fitted, predicted out of fold, and left out together."""
         return {"fitted": list(self.fitted), "heldout": list(self.heldout), "folds": [list(f) for f in self.folds]}
 
     def as_json(self, csv: str | None = None) -> dict:
-        """Return the dict of docs/contract.md; `csv` is the file of the next experiment."""
+        """Return the diagnosis as the dict of docs/contract.md; `csv`: the file with the next experiment."""
         experiment = self.next_experiment
         return {
             "verdict": self.verdict,
@@ -157,19 +157,19 @@ class Diagnosis:
         }
 
     def __repr__(self) -> str:
-        """Return its first lines, at most ten."""
+        """Return the first lines of the diagnosis, at most ten."""
         lines = str(self).splitlines()
         more = [f"and {len(lines) - 9} lines more (print it)"] if len(lines) > 10 else lines[9:10]
         return "\n".join([f"Diagnosis: {lines[0]}", *lines[1:9], *more])
 
     def _repr_html_(self) -> str:
-        """Return the first screen of its page."""
+        """Return the first screen of the diagnosis page as HTML."""
         from .report.page import first_screen
 
         return first_screen(self)
 
     def __str__(self) -> str:
-        """Return a few lines for the terminal."""
+        """Return the diagnosis as a few lines for the terminal."""
         from .report.words import lines
 
         return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes if line != self.reason)])
@@ -232,7 +232,7 @@ def diagnose(
     failed: list[str] = []
 
     def told(what: str, make: Callable[[], T], otherwise: T) -> T:
-        """Call `make` for a part that only describes the result; a failure becomes a note."""
+        """Call `make` for a part that only describes the result; if it fails, note it and return `otherwise`."""
         try:
             return make()
         except Exception as error:
@@ -311,7 +311,7 @@ def diagnose(
 def _searched_without_shift(
     model: Model, records: Sequence[Record], refit: bool, exclude: Sequence[str], limit: Budget, devices
 ) -> tuple["_Searched", float, Sequence[Record]]:
-    """Search, and if an early output is certain, remove it from the records and search again.
+    """Search; if the output is certainly ahead of the input, remove this time shift and search again.
 
     Returns:
         the search, the time (s) by which the output was early, and the records without it.
@@ -328,7 +328,7 @@ def _searched_without_shift(
 
 
 def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
-    """Return the decision and what is handed back; no effect is reported whose model is not handed back."""
+    """Choose the returned model; withdraw the reported effects if this model lacks them or is not better by GAIN."""
     handed = hand_back(search, decision, model, records, before)
     why, ranges = "", spans(search)
     if not set(decision.said) <= set(handed[0].labels):
@@ -343,7 +343,7 @@ def _checked(search: Search, decision: Decision, model: Model, records: Sequence
 
 @dataclass(frozen=True)
 class _Searched:
-    """A finished search with its data.
+    """A finished search with its data and the nominal model's errors.
 
     Attributes:
         pieces: the pieces of the records that the search used; None: all of them.
@@ -382,13 +382,13 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:
-    """Return the names of the recordings that were left out together, or in parts."""
+    """Return, for each fold, the names of the recordings that were left out together, or in parts."""
     names = [s.record.name for s in case.series]
     return tuple(dict.fromkeys(tuple(dict.fromkeys(names[k] for k in fold)) for fold in case.folds))
 
 
 def _raw(search: Search):
-    """Return the nominal's residuals with the records' own offsets and initial states."""
+    """Return the evidence of the nominal model before any offset or initial state is fitted."""
     case = search.case
     # with the initial states of the records, before any offset or start was fitted
     runs = case.simulator.run(np.tile(case.nominal, (len(case.series), 1)), range(len(case.series)), case.starts)
@@ -410,7 +410,7 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 
 
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
-    """Return the experiment that separates the tied effects, or the effects that prevented a verdict."""
+    """Return an experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
     if decision.said and decision.tied.get(decision.said[0]):
         names = decision.said[0], decision.tied[decision.said[0]][0]

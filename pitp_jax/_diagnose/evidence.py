@@ -1,4 +1,4 @@
-"""Evidence: by how much one set of out-of-fold residuals is better than another, and with what probability.
+"""Compare hypotheses by their out-of-fold residuals: how much better one is, and with what probability.
 
     score   S = sum_r n_r log MSE_r / sum_r n_r          (the Gaussian log score with one variance per record)
     P       fraction of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
@@ -19,7 +19,7 @@ _BLOCKS, _FEWEST, _DRAWS = 30, 6, 2000
 
 @dataclass(frozen=True)
 class Evidence:
-    """Squares of out-of-fold residuals in blocks.
+    """Sums of squared out-of-fold residuals, in blocks of samples.
 
     Attributes:
         squares, sizes: sum of squares and samples of every block.
@@ -39,7 +39,7 @@ class Evidence:
 
     @property
     def mse(self) -> np.ndarray:
-        """Return the mean square of every record, shape (records,)."""
+        """Return the mean squared error of every record, shape (records,)."""
         count = self.floor.size
         # bincount sums the blocks of each record
         total = np.bincount(self.records, self.squares, count)
@@ -48,23 +48,23 @@ class Evidence:
 
     @property
     def score(self) -> float:
-        """Return the score S, the logarithm of the squared error."""
+        """Return the score S: the logarithm of the mean squared error, averaged over records by their samples."""
         weight = np.bincount(self.records, self.sizes, self.floor.size)
         return float(np.sum(weight * np.log(self.mse)) / weight.sum())
 
     @property
     def bare(self) -> "Evidence":
-        """Return the evidence without the least mean square, to judge a model without reference to effects."""
+        """Return the evidence without the lower limit on errors, to judge a model without reference to effects."""
         return replace(self, least=0.0)
 
     @property
     def rms(self) -> float:
-        """Return the geometric mean over records of the rms error."""
+        """Return the geometric mean of the records' rms errors."""
         return float(np.exp(self.score / 2))
 
 
 def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float = 0.0, parts: int = 1) -> Evidence:
-    """Return blocks of the valid samples: about thirty in all, at least six per record.
+    """Sum squared residuals in blocks of valid samples: about thirty in all, at least six per record.
 
     Args:
         residuals: per record, nan where samples do not count.
@@ -88,7 +88,7 @@ def evidence(residuals: Sequence[np.ndarray], floors: np.ndarray, least: float =
 
 
 def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.ndarray, np.ndarray, np.ndarray]]:
-    """Yield bootstrap draws: first units (records or parts of one), then blocks within each.
+    """Yield the bootstrap draws of each record: units (records or parts of one), then blocks within each.
 
     Yields:
         record, times that it was drawn (count,), its blocks, and how often each of them was (count, blocks).
@@ -101,7 +101,7 @@ def resampled(first: Evidence, count: int, seed: int) -> Iterator[tuple[int, np.
 
 @lru_cache(maxsize=8)  # all sets of a case use the same draws, hundreds of times
 def _drawn(units: tuple[int, ...], count: int, seed: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return how often the unit of every block was drawn, and the block itself, both (count, blocks)."""
+    """Return how often each block's unit was drawn, and how often the block itself, both (count, blocks)."""
     rng, place_of = np.random.default_rng(seed), np.array(units)
     there = np.unique(place_of)
     # with one unit only its blocks can vary
@@ -116,7 +116,7 @@ def _drawn(units: tuple[int, ...], count: int, seed: int) -> tuple[np.ndarray, n
 
 
 def draws(sets: Sequence[Evidence]) -> np.ndarray:
-    """Return the score of every set in every draw, shape (sets, draws); all sets use the same draws."""
+    """Return the score of every hypothesis in every bootstrap draw, (sets, draws); all use the same draws."""
     first = sets[0]
     scores, weight = np.zeros((len(sets), _DRAWS)), np.zeros(_DRAWS)
     for r, times, place, often in resampled(first, _DRAWS, seed=0):
@@ -130,6 +130,6 @@ def draws(sets: Sequence[Evidence]) -> np.ndarray:
 
 
 def probability(a: Evidence, b: Evidence, ratio: float = 1.0) -> float:
-    """Return P that the rms error of `a` is below `ratio` times that of `b`."""
+    """Return the probability that the rms error of `a` is below `ratio` times the rms error of `b`."""
     first, second = draws([a, b])
     return float(np.mean(first < second + 2 * np.log(ratio)))

@@ -1,4 +1,4 @@
-"""Fit hypotheses to whole free runs by Levenberg-Marquardt in float64, all in one batch.
+"""Fit hypotheses (sets of effects) to whole recordings by Levenberg-Marquardt in float64, in one batch.
 
     minimise  L = sum_r n_r log(MSE_r + eps_r),    MSE_r = mean over counted samples of (y - y_measured - C_r c_r)^2
 
@@ -31,7 +31,7 @@ _SAMPLES_AT_ONCE = 2**23  # simulated samples in memory at once: 64 MiB
 
 @dataclass
 class Fit:
-    """One hypothesis during its fit.
+    """A hypothesis during its fit: its parameters and the state of the optimiser.
 
     Attributes:
         names: effects of the search, in the order added.
@@ -61,27 +61,27 @@ class Fit:
     done: bool = False
 
     def __post_init__(self):
-        """Set the units of the free parameters, if none are given."""
+        """Set the units of the free parameters to their initial sizes, if no units are given."""
         if not len(self.unit):
             self.unit = np.array([max(abs(self.slots[INDEX[k]]), 1e-12) for k in self.free])
 
     def again(self, **changes) -> "Fit":
-        """Return a copy of the fit, to be continued."""
+        """Copy the fit with the optimiser reset, so that the copy can be continued."""
         fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "taken": 0}
         fresh["done"] = False
         return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
-        """Return a copy of the fit with other free parameters, without a run."""
+        """Copy the fit for other free parameters; its cost and derivatives are not yet computed."""
         return self.again(**({"unit": np.zeros(0), "jacobian": None, "cost": np.inf} | changes))
 
     def value(self, name: str) -> float:
-        """Return the value of one slot."""
+        """Return the value of the parameter of this name."""
         return float(self.slots[INDEX[name]])
 
 
 def coordinates(fit: Fit) -> np.ndarray:
-    """Return the free parameters, positive ones as logarithms."""
+    """Return the free parameters as the optimiser uses them: positive ones as logarithms."""
     places = [INDEX[k] for k in fit.free]
     values = fit.slots[places]
     log = LOGARITHM[places]
@@ -89,7 +89,7 @@ def coordinates(fit: Fit) -> np.ndarray:
 
 
 def at(fit: Fit, z: np.ndarray, bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})) -> np.ndarray:
-    """Return the slots at other free coordinates, each within its `bounds`."""
+    """Return all parameters for other optimiser coordinates `z` (`coordinates`), each within its `bounds`."""
     slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
     log = LOGARITHM[places]
     slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
@@ -99,7 +99,7 @@ def at(fit: Fit, z: np.ndarray, bounds: Mapping[str, tuple[float, float]] = Mapp
 
 
 def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return C of a record, shape (T, columns), and the initial (x, v) of each column, shape (columns, 2)."""
+    """Return a record's offset and free responses, (T, columns), and the initial (x, v) of each, (columns, 2)."""
     size = len(case.series[record].output)
     if case.series[record].begins == "rest":
         return np.ones((size, 1)), np.zeros((1, 2))
@@ -125,7 +125,7 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
 
 
 def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows (T, n) minus their projection on the columns where they are observed, and the coefficients."""
+    """Subtract from `rows` (T, n) their least-squares fit by the columns; return also its coefficients."""
     inside = columns[seen > 0]
     if columns.shape[1] == 1:
         mean = rows[seen > 0].mean(0, keepdims=True)
@@ -141,7 +141,7 @@ def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple
 
 
 class Fitter:
-    """Fits of one case; its budget counts the simulated steps."""
+    """Fit hypotheses to the records of one case; its budget counts the simulated steps."""
 
     def __init__(self, case: Case, budget: Budget | None = None):
         self.case = case
@@ -151,7 +151,7 @@ class Fitter:
         self.floors = [(_EPS * s.span) ** 2 + 0.01 * s.noise**2 for s in case.series]
 
     def _simulate(self, groups: Sequence[list[tuple[np.ndarray, int, np.ndarray]]]) -> Iterator[list[np.ndarray]]:
-        """Simulate (slots, record, start) in groups, few of which are in memory at once, and yield their free runs."""
+        """Simulate groups of (parameters, record, initial state), few at a time, and yield each group of outputs."""
         first, drives = 0, self.case.simulator.drives
         while first < len(groups):
             last, samples = first, 0
@@ -173,7 +173,7 @@ class Fitter:
         return [k for k, m in enumerate(self._masks[fold]) if m.any()]
 
     def _residual(self, slots, starts, record: int, run):
-        """Return the projected residual and the corrected initial state.
+        """Return the residual without offset and free responses, and the corrected initial state (x, v).
 
         A record's offset and initial state are fitted to the whole record, whichever samples a fit may use. Without the
         block at its beginning, a slow plant's decay was extrapolated backwards to twice the range.
@@ -187,7 +187,7 @@ class Fitter:
         return np.where(s.counts, residual[:, 0], np.nan), moved
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
-        """Return (cost, residuals, starts) of every fit at other slots; `everything`: on records left out too."""
+        """Return (cost, residuals, initial states) of every fit at other parameters; `everything`: on all records."""
         places = [range(len(self.case.series)) if everything else self._seen(f.fold) for f in fits]
         jobs = [[(p, k, f.starts[k]) for k in some] for f, p, some in zip(fits, slots, places, strict=True)]
         results = []
@@ -210,7 +210,7 @@ class Fitter:
         return float(total)
 
     def differentiate(self, fits: Sequence[Fit]):
-        """Compute the Jacobians of the projected residuals, record by record."""
+        """Compute the derivatives of the residuals with respect to the free parameters, record by record."""
         jobs, owners = [], []
         for fit in fits:
             z = coordinates(fit)
@@ -234,7 +234,7 @@ class Fitter:
             fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
 
     def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
-        """Return H and g."""
+        """Return the normal matrix H and the gradient g of one optimiser step."""
         h, g = np.zeros((len(fit.free),) * 2), np.zeros(len(fit.free))
         assert fit.jacobian is not None
         for k in self._seen(fit.fold):
@@ -246,7 +246,7 @@ class Fitter:
         return h, g
 
     def fit(self, fits: Sequence[Fit], iterations: int) -> list[Fit]:
-        """Advance every fit by several steps; converged fits do not change.
+        """Advance every fit by several optimiser steps; converged fits do not change.
 
         Rejected steps do not count as iterations: a fold's fit without an accepted step would still use its test
         samples.
@@ -270,7 +270,7 @@ class Fitter:
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
-        """Predict the cost of every fit after one Gauss-Newton step; common parameters use the front's derivatives.
+        """Predict the cost of each fit after one Gauss-Newton step, with the derivatives of the fits in `fronts`.
 
         A start costs one run plus one for each new parameter; separate steps cost five times as much.
         """
@@ -298,7 +298,7 @@ class Fitter:
         return min(probe.cost, self._cost(after, PREVIEW))
 
     def _move(self, fit: Fit) -> np.ndarray:
-        """Return the damped, limited step of the free coordinates."""
+        """Return the damped, limited optimiser step of the free parameters."""
         h, g = self.normal(fit)
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
         move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
@@ -320,7 +320,7 @@ class Fitter:
             fit.done = fit.damping > 1e4
 
     def refitted_without(self, fits: Sequence[Fit], iterations: int) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
-        """Refit every fit without each fold, starting from the fit to all records.
+        """Refit every fit without each fold (cross-validation), starting from the fit to all records.
 
         Returns:
             out-of-fold residuals of every fit, by record; its slots without each fold, shape (folds, slots).

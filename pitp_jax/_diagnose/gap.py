@@ -1,4 +1,4 @@
-"""The gap: errors of the given model, of the model without effects and of the returned one, and the closed fraction.
+"""Compute the gap: errors of the nominal and the returned model, and the fraction that the effects remove.
 
     closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   pooled over records
 
@@ -32,7 +32,7 @@ _FAR = 10.0  # ranges: the error assigned to a diverged run
 
 @dataclass(frozen=True)
 class Gap:
-    """Errors in % of range, pooled over records, and the closed fraction with its 95 % interval.
+    """Errors of a diagnosis in % of range, pooled over records, and the closed fraction with its 95 % interval.
 
     Attributes:
         before: of the nominal (refitted in a refit); after: of the chosen set; unrefitted: of the given nominal.
@@ -52,7 +52,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class Errors:
-    """Residuals of three models on the same samples.
+    """Residuals of the given model, the model without effects, and the returned model, on the same samples.
 
     Attributes:
         given, base, handed: of the given nominal, of the linear model without effects, of the returned model.
@@ -66,12 +66,12 @@ class Errors:
 
 
 def out_of_fold(search: Search, handed: Hypothesis) -> Errors:
-    """Return the errors of the searched records, each predicted by a fit without it."""
+    """Return the three models' errors on the searched records, each predicted by a fit without that record."""
     return Errors(search.given.evidence, search.base.evidence, handed.evidence, spans(search))
 
 
 def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces: Sequence[Trace]) -> Errors:
-    """Return the errors over all recordings; `traces`: free runs of the nominal and of the returned model."""
+    """Return the three models' errors over all recordings; `traces`: free runs of nominal and returned model."""
     scale = float(search.case.model.scales.state[0])
     given, handed = ([_error(getattr(t, which), t) for t in traces] for which in ("nominal", "augmented"))
     base = given
@@ -85,14 +85,14 @@ def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces
 
 
 def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
-    """Return the error of a run, nan where nothing is measured, a large value where it diverged."""
+    """Return the error of a simulation: nan where nothing was measured, a large value where it diverged."""
     far = _FAR * (np.nanmax(trace.measured) - np.nanmin(trace.measured))
     error = np.nan_to_num(run - trace.measured, nan=far, posinf=far, neginf=-far)
     return np.where(np.isfinite(trace.measured), np.clip(error, -far, far), np.nan)
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
-    """Return the gap computed from the errors of the three models.
+    """Compute the gap from the errors of the three models, in % of range.
 
     Args:
         search, decision: of the diagnosis.
@@ -111,31 +111,31 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 
 
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
-    """Return the verdict, limited to "partly" if the closed fraction may be 0 or a large error remains."""
+    """Limit the verdict "explained" to "partly" if the closed fraction may be 0 or a large error remains."""
     nothing = gap.ci95 is not None and gap.ci95[0] <= 0
     much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
     return "partly" if verdict == "explained" and (nothing or much) else verdict
 
 
 def closed(before: float, after: float, low: float) -> float | None:
-    """Return the closed fraction; None if there was nothing to close."""
+    """Return the fraction of the error above the floor `low` that is removed; None if there was none."""
     if before <= _GAP * low or before <= 0:
         return None
     return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
 
 
 def percent(errors: Evidence, spans: np.ndarray) -> float:
-    """Return an error in % of range, pooled over records."""
+    """Convert the errors of a model to % of range, pooled over records."""
     return 100 * float(np.sqrt(energies([errors], spans)[0, 0]))
 
 
 def spans(search: Search) -> np.ndarray:
-    """Return the range of every searched record, scaled."""
+    """Return the output range of every searched record, in scaled units."""
     return np.array([s.span for s in search.case.series])
 
 
 def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -> tuple[float, float] | None:
-    """Return the interval of the closed fraction from redrawn records and blocks, within [-1, 1]; None without a gap.
+    """Return the 95 % interval of the closed fraction by a bootstrap, within [-1, 1]; None without a gap.
 
     The nominal's own error is also an estimate, and at most the stated value; the lower end of the interval is computed
     without it.
@@ -155,12 +155,12 @@ def interval(before: Evidence, after: Evidence, spans: np.ndarray, low: float) -
 
 
 def floor_percent(spans: np.ndarray, own: float) -> float:
-    """Return the nominal's own error in % of range."""
+    """Convert the nominal model's own error (scaled) to % of range."""
     return 100 * own * float(np.sqrt(np.mean(1 / spans**2))) if own else 0.0
 
 
 def own_misfit(case: Case) -> tuple[float, str]:
-    """Return the nominal's own error beyond noise on its own records (scaled), and its source in words.
+    """Return the nominal model's error beyond noise on its identification records (scaled), and its source in words.
 
     M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
 
@@ -175,14 +175,14 @@ def own_misfit(case: Case) -> tuple[float, str]:
 
 
 def _noise(case: Case) -> float:
-    """Return the sensor's white noise, scaled; geometric mean over records."""
+    """Return the sensor's white noise (rms, scaled), the geometric mean over records."""
     scale = float(case.model.scales.state[0])
     each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
     return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
-    """Return the nominal's own error, adjusted for noise, for records whose samples are averaged in blocks.
+    """Adjust the nominal model's own error (scaled) for noise, for samples that are averaged in blocks.
 
     (OWN own)^2 = OWN^2 (M^2 + noise^2) - noise^2 + noise^2 / k:   averaging k samples removes white noise
     on both sides, so the comparison stays that of the full rate.
@@ -192,7 +192,7 @@ def beside_noise(case: Case, lacking: float, averaged: int) -> float:
 
 
 def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
-    """Return a sentence on the pieces searched, and the errors on the remainder."""
+    """Describe the searched pieces of the recordings, and the errors on all other samples, in a sentence."""
     searched = {r.name: np.zeros(r.samples, bool) for r in records}
     for p in pieces:
         time = next(r.time for r in records if r.name == p.record)

@@ -1,4 +1,4 @@
-"""Choose the model to return: the best that beats the nominal out of fold, and in the package's own free runs.
+"""Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
 
 The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
 nominal model's, and it stays bounded from rest under the largest voltage of the records.
@@ -25,7 +25,7 @@ _DOUBLED = 4  # times at most that the steps a sample of a returned model are do
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """Return the best hypothesis that beats the nominal with P >= SURE and in the package's own free runs.
+    """Return the best hypothesis that beats the nominal model out of fold (P >= SURE) and in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.
@@ -68,7 +68,7 @@ def _error(h: Hypothesis) -> float:
 
 
 def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
-    """Return the model with as many integration steps a sample as its effects need, and its error.
+    """Double the model's integration steps per sample until its error is below `most` or no longer falls.
 
     If its error is at least `most`, its steps are doubled until the error no longer falls.
     """
@@ -85,14 +85,14 @@ def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, 
 
 
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:
-    """Return whether the model stays bounded, from rest, under every recorded input scaled to the largest voltage."""
+    """Return whether the model stays bounded from rest under every input, scaled up to the largest voltage."""
     top = max(float(np.abs(r.voltage).max()) for r in records)
     played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
 def package_error(model: Model, records: Sequence[Record]) -> float:
-    """Return the geometric mean over records of the free run's error, offset fitted; infinite if one diverges."""
+    """Return the geometric mean over records of the free-run error, offset removed; infinite if a run diverges."""
     total = []
     for p, r in zip(predict(model, records), records, strict=True):
         seen = p.scored & np.isfinite(r.displacement)

@@ -1,4 +1,4 @@
-"""The library: starts of every catalogue row in a search, and conversion between models and row parameters.
+"""Initial guesses for all effects of a search, and conversion between models and parameter vectors.
 
 A form is one way to start an effect: a catalogue row with its parameters in the model's scaled coordinates. An effect
 may have several forms. `slots` are the core's three coefficients, then the parameters of every row.
@@ -40,7 +40,7 @@ _GROUPS = {
 
 @dataclass(frozen=True)
 class Form:
-    """One way to start an effect.
+    """An effect with initial guesses of its parameters; an effect may have several such forms.
 
     Attributes:
         name: effect in the search, which takes at most one form of an effect.
@@ -54,19 +54,19 @@ class Form:
 
     @property
     def free(self) -> tuple[str, ...]:
-        """Return the parameters to fit: those that do not start at a neutral value."""
+        """Return the names of the parameters to fit, without those whose initial guess has no influence."""
         moved = (k for k, v in self.start.items() if v != OFF[INDEX[k]] or SHAPE[INDEX[k]])
         return tuple(k for k in moved if not FIXED[INDEX[k]])
 
     @property
     def stiffness(self) -> float:
-        """Return the stiffness that the effect adds, in units of the core's."""
+        """Return the stiffness that the effect adds, relative to the stiffness of the linear core."""
         return next(iter(self.start.values())) if self.spec and self.spec.stiffens else 0.0
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Units of the starts, from the nominal and the records (`starts_of`)."""
+    """Units of the initial guesses, from the nominal model and the records (`search.scale_of`)."""
 
     tau: float
     dt: float
@@ -91,7 +91,7 @@ class Scale:
 
 
 def forms(s: Scale) -> list[Form]:
-    """Return the forms that can be fitted to these records, with their starting parameters."""
+    """Return the effects that can be fitted to these records, with their initial guesses."""
     made, within = [], bounds(s)
     for key, *starts in _starts(s):
         spec = _BY_KEY[key]
@@ -106,7 +106,7 @@ def forms(s: Scale) -> list[Form]:
 
 
 def bounds(s: Scale) -> dict[str, tuple[float, float]]:
-    """Return the bounds of the parameters that records determine only within their own range, by their slots.
+    """Return the bounds of parameters that the records determine only within their own range, by name.
 
     If a force changes over a speed or a distance beyond all recorded ones, this parameter only scales the force.
     """
@@ -122,12 +122,12 @@ def bounds(s: Scale) -> dict[str, tuple[float, float]]:
 
 
 def group(name: str) -> str:
-    """Return the name under which a search tries an effect."""
+    """Return the name under which a search tries an effect; effects with a common law share one."""
     return _GROUPS.get(name, name)
 
 
 def slots_of_row(spec: EffectSpec) -> tuple[str, ...]:
-    """Return the slots of a row's parameters."""
+    """Return the names of an effect's parameters in the parameter vector."""
     return tuple(f"{spec.key}, {p.name}" for p in spec.parameters)
 
 
@@ -137,7 +137,7 @@ def _damping(s: Scale) -> float:
 
 
 def _starts(s: Scale) -> Iterator[tuple]:
-    """Yield every row with its starting parameters."""
+    """Yield the key of every catalogue form with the initial guesses of its parameters."""
     x, pull, tau, volts, damping = s.reach, s.force, s.tau, s.voltage, _damping(s)
     span, middle = s.top - s.bottom, (s.top + s.bottom) / 2
     terms = (0, -0.1, 0), (0.2, 0, 0), (0.05, 0.1, 0), (0, 0.1, 0.1)
@@ -246,25 +246,25 @@ _IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coeffici
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
-    """Return the catalogue name of a fitted form; signs and time constants decide between names that share it."""
+    """Return the catalogue name of a fitted effect; sign and time constant decide between similar effects."""
     mine = [spec for spec in ROWS if group(spec.name) == name != FREE and is_on(spec, slots)]
     # of two memories the slower one
     return min((_reported(spec, slots, scale)[0] for spec in mine), default=name)
 
 
 def family(name: str) -> str:
-    """Return the family of a catalogue name."""
+    """Return the family of an effect, by its catalogue name."""
     return next((c.family for c in CATALOGUE if c.name == name), "parametric" if name != FREE else "found")
 
 
 def is_on(spec: EffectSpec, slots: np.ndarray) -> bool:
-    """Return whether a row has any influence with these parameters."""
+    """Return whether an effect has any influence with these parameters."""
     pairs = zip(spec.parameters, slots[PLACES[spec]], strict=True)
     return any(p.off is not None and v != p.off for p, v in pairs)
 
 
 def effects_of(slots: np.ndarray, scale: Scale, only: str = "") -> list[tuple[Effect, tuple[str, ...]]]:
-    """Return the effects in these slots, each as the reported row, with the slots of its parameters.
+    """Return the effects with an influence in a parameter vector, each with the names of its parameters.
 
     `only`: those of this effect.
     """
@@ -287,7 +287,7 @@ def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, s
 
 
 def slots_of(model: Model) -> tuple[np.ndarray, bool]:
-    """Return the nominal's slots, and whether it has other parts (a trained encoder, other effects)."""
+    """Return the nominal model as a parameter vector, and whether it has parts that the vector cannot represent."""
     slots = OFF.copy()
     core, lag, filtered = sections(model.physical_coefficients)
     slots[: min(len(core), 3)] = (core * model.scales.state[0] / model.scales.force)[:3]
@@ -308,7 +308,7 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
 
 
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
-    """Return the nominal with these slots in place of its own, and the added effects, each with its slots.
+    """Build the model with these fitted parameters; return it and the added effects with parameter names.
 
     A model of order 3 or 4 contains its lag or filter in its coefficients, which are changed. A trained model keeps its
     order: if a fit adds a mass that its core lacks, its coefficients stay.
@@ -354,7 +354,7 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
 
 
 def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
-    """Return a_0 ... a_n of a core with the lag and the filter that `sections` assigns to this order, scaled."""
+    """Return the scaled a_0 ... a_n of the linear core, multiplied by the lag (order 3) or the filter (order 4)."""
     poles = np.polynomial.Polynomial(slots[: min(order, 2) + 1])
     if order == 3:
         poles *= np.polynomial.Polynomial([1.0, slots[INDEX[LAG]]])
@@ -365,13 +365,13 @@ def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
 
 
 def rates_of(model: Model) -> tuple[float, float]:
-    """Return the rates of the scales of x' and x'' in a simulation (1/s), for any order."""
+    """Return the ratios of the scales of x' and x, and of x'' and x' (1/s), for a model of any order."""
     rates = np.asarray(model.scales.rates, float)
     return float(rates[0]), float(rates[min(1, len(rates) - 1)])
 
 
 def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | None]:
-    """Split a_0 ... a_n into a core of order two at most, a lag (s) and a filter (s, damping) behind it.
+    """Split the polynomial a_0 ... a_n into a core of order two at most, a lag (s) and a filter (s, damping).
 
     The core has the dominant pair: the slowest oscillating one, otherwise the slowest two poles. Poles beyond order
     four are combined with the lag.
@@ -400,7 +400,7 @@ def sections(a: np.ndarray) -> tuple[np.ndarray, float, tuple[float, float] | No
 
 
 def _no_faster(a: np.ndarray, most: float) -> np.ndarray:
-    """Return coefficients with poles limited to `most` (1/s) and an unchanged slow response.
+    """Limit the poles of the coefficients a_0 ... a_n to `most` (1/s), with an unchanged slow response.
 
     The search steps a linear plant exactly for any poles; the rollout does not, and samples do not show such fast
     poles. For example, a damper with a fitted lag of almost zero diverged in the rollout.

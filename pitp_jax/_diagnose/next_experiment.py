@@ -1,4 +1,4 @@
-"""The next experiment: the excitation whose responses differ most between two hypotheses.
+"""Find the next experiment: the excitation whose responses differ most between two hypotheses.
 
     maximise over excitations  rms_t (y_a - y_b) / sigma     within stroke, voltages and slews already played
 
@@ -21,7 +21,7 @@ _SIZES = (1.0, 0.7, 0.5, 0.3)
 
 @dataclass(frozen=True)
 class Experiment:
-    """A playable excitation.
+    """A voltage to record next, with the two effects that it separates.
 
     Attributes:
         separates: the two effects.
@@ -38,7 +38,7 @@ class Experiment:
 
 
 def excitations(low: float, top: float, slew: float, hz: float, dt: float, size: float) -> dict[str, np.ndarray]:
-    """Return voltages by name, with this fraction of the range, each about sixty natural periods long plus ramps."""
+    """Return voltages (V) by name, at the fraction `size` of the range, each about sixty natural periods long."""
     t = np.arange(int(np.clip(60 / hz / dt, 2000, 40000))) * dt
     drives, middle = {}, (top + low) / 2 if low >= 0 else 0.0
     for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
@@ -60,13 +60,13 @@ def excitations(low: float, top: float, slew: float, hz: float, dt: float, size:
 
 
 def _from_zero(voltage: np.ndarray, step: float) -> np.ndarray:
-    """Return the voltage with ramps from and to zero volts, at half the largest step a sample."""
+    """Add ramps from and to zero volts to a voltage, at half the largest change `step` per sample."""
     up, down = (np.linspace(0.0, v, int(np.ceil(2 * abs(v) / step)) + 1)[:-1] for v in (voltage[0], voltage[-1]))
     return np.concatenate([up, voltage, down[::-1]])
 
 
 def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tuple[str, str]) -> Experiment | None:
-    """Return the best of `excitations`; None if every one would move further than the recorded motion."""
+    """Return the excitation that best separates two hypotheses; None if each exceeds the recorded stroke."""
     volts = np.concatenate([s.record.voltage for s in case.series])
     dt = case.series[0].record.dt
     slew = max(float(np.abs(np.diff(s.record.voltage)).max()) for s in case.series) / dt

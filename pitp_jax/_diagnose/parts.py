@@ -1,4 +1,4 @@
-"""Parts: the effects in the returned model beyond the nominal, with their parameters and the certainty of each.
+"""List the effects that the returned model adds to the nominal model, with their parameters and certainty.
 
     certain   the verdict reports it
     tied      the verdict reports it, with effects that these recordings do not separate from it
@@ -38,7 +38,7 @@ _ANOTHER = "an excitation of another kind than those recorded"
 
 @dataclass(frozen=True)
 class Part:
-    """One part of the returned model.
+    """One effect that the returned model adds to the nominal model, with its parameters and certainty.
 
     Attributes:
         effect, form: as in the catalogue; "parameter_change" for the nominal's coefficients.
@@ -65,7 +65,7 @@ class Part:
 
 @dataclass(frozen=True, repr=False)
 class Parts(Shown):
-    """The parts of the returned model, the largest first; `frame()` has a row for each of their parameters."""
+    """The effects that the returned model adds, largest first; `frame()` has a row for each parameter."""
 
     parts: tuple[Part, ...] = field(default=())
 
@@ -79,7 +79,7 @@ class Parts(Shown):
         return self.parts[place]
 
     def as_json(self) -> list[dict]:
-        """Return the list of docs/contract.md."""
+        """Return the parts as the list of docs/contract.md."""
         told = [vars(p) | {"tied": list(p.tied)} for p in self.parts]
         return [{k: v for k, v in one.items() if k != "experiment"} for one in told]
 
@@ -99,7 +99,7 @@ Factors = dict[str, tuple[float, float] | None]
 
 
 def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple[Model, list]) -> Parts:
-    """Return the parts of the returned model.
+    """List the effects that the returned model adds to the nominal model, with their parameters and certainty.
 
     Args:
         search, decision: of the diagnosis.
@@ -129,14 +129,14 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
 
 
 def _own_slots(search: Search, name: str) -> list[str]:
-    """Return the parameters of the linear model that an effect of the search changes."""
+    """Return the names of the linear model's parameters that an effect of the search changes."""
     if name == PARAMETERS:
         return list(search.movable)
     return [k for form in search.library if form.name == name for k in form.start if k in search.movable]
 
 
 def _search_name(slots: Sequence[str]) -> str:
-    """Return the search name of the catalogue row with these slots."""
+    """Return the search name of the effect with these parameter names."""
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
@@ -162,7 +162,7 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
 
 
 class _Numbers:
-    """The parameters of a hypothesis with their intervals."""
+    """The parameters of a hypothesis with their 95 % intervals."""
 
     def __init__(self, search: Search, h: Hypothesis, model: Model):
         self.search, self.h, self.model = search, h, model
@@ -171,7 +171,7 @@ class _Numbers:
         self.longest, self.session = longest / 3, max(search.scale.session, longest) / 3
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
-        """Return the parameters of the effects of one part; those of a second effect have the suffix 2."""
+        """Return the parameters of one part's effects; those of a second effect have the suffix 2."""
         told: dict[str, dict] = {}
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})
@@ -185,7 +185,7 @@ class _Numbers:
         return told
 
     def coefficients(self, slots: Sequence[str]) -> dict[str, dict]:
-        """Return the coefficients of the linear model, as factors on those given."""
+        """Return the linear model's refitted coefficients, divided by the given ones, with intervals."""
         rows, names = factors_of(self.search, self.h.fit, {}), {factor_name(k): k for k in slots}
         return {name: self._with_interval(row, names[name]) for name, row in rows.items() if name in names}
 
@@ -196,7 +196,7 @@ class _Numbers:
 
 
 def _interval_factors(search: Search, h: Hypothesis) -> Factors:
-    """Return the ends of each fitted parameter's interval over its value; None if the records do not determine it."""
+    """Return the ends of each fitted parameter's 95 % interval, divided by its value; None if undetermined."""
     errors, places = errors_of(search, h.fit), [INDEX[k] for k in h.fit.free]
     folds = _coordinates(h.without, places) if len(h.without) else np.zeros((1, len(places)))
     jackknife = np.sqrt((len(folds) - 1) * np.var(folds, 0))
@@ -218,11 +218,11 @@ def _interval_factors(search: Search, h: Hypothesis) -> Factors:
 
 
 def _coordinates(slots: np.ndarray, places: Sequence[int]) -> np.ndarray:
-    """Return parameters as they are fitted: the logarithm of each positive one."""
+    """Convert parameters to the optimiser's coordinates: logarithms of the positive ones."""
     values = slots[..., list(places)]
     return np.where(LOGARITHM[list(places)], np.log(np.maximum(values, 1e-300)), values)
 
 
 def _is_as_good(other: Hypothesis, h: Hypothesis) -> bool:
-    """Return whether a hypothesis has at most GAIN more error than the returned one, or not certainly more."""
+    """Return whether another hypothesis with effects is not certainly worse than the returned one, by GAIN."""
     return bool(other.names) and probability(h.evidence, other.evidence, 1 - rules.GAIN) < rules.SURE

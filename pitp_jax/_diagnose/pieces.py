@@ -1,4 +1,4 @@
-"""Pieces of long recordings, so that a diagnosis takes a bounded number of simulated steps.
+"""Choose pieces of long recordings, so that a diagnosis takes a bounded number of simulated steps.
 
     distance of two pieces = |f_a - f_b| + OTHER [they are of different recordings]
     f = (spread, log10 centre frequency, mean) of the force and of the motion;  spread and mean in units of the largest
@@ -27,7 +27,7 @@ _STILL = 0.05  # of the largest motion of a recording: a piece with less shows n
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of a recording, with its start and end in the recording's own time (s)."""
+    """A piece of a recording: its start and end, s after the first sample of the recording."""
 
     record: str
     from_s: float
@@ -35,7 +35,7 @@ class Piece:
 
 
 def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[Piece, ...] | None]:
-    """Choose the pieces on which a long set is searched.
+    """Choose the pieces of long recordings that a search uses.
 
     Args:
         model: the nominal.
@@ -71,14 +71,14 @@ def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tu
 
 @dataclass(frozen=True)
 class _Window:
-    """Samples `first` to before `last` of a record."""
+    """The samples `first` to `last` - 1 of a record."""
 
     record: Record
     first: int
     last: int
 
     def taken(self) -> Record:
-        """Return the record of these samples, under the name of its recording."""
+        """Return these samples as a record with the name of the recording."""
         part = slice(self.first, self.last)
         r = self.record
         return replace(r, time=r.time[part], voltage=r.voltage[part], displacement=r.displacement[part])
@@ -94,7 +94,7 @@ def _all(record: Record) -> _Window:
 
 
 def _windows(record: Record, size: int) -> list[_Window]:
-    """Return equal parts of at most `size` samples that move and are measured; a shorter record as a whole."""
+    """Cut a record into equal windows of at most `size` samples; return the windows with enough motion."""
     edges = np.linspace(0, record.samples, -(-record.samples // size) + 1).astype(int)
     windows = [_Window(record, int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
     moves = [_spread(record.displacement[w.first : w.last]) for w in windows]
@@ -102,13 +102,13 @@ def _windows(record: Record, size: int) -> list[_Window]:
 
 
 def _spread(values: np.ndarray) -> float:
-    """Return the standard deviation of the measured samples; 0 if less than half are measured."""
+    """Return the standard deviation of the measured samples; 0 if at most half of the samples are measured."""
     there = np.isfinite(values)
     return float(values[there].std()) if 2 * there.sum() > len(values) else 0.0
 
 
 def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record]) -> np.ndarray:
-    """Return f of every window, shape (windows, 6)."""
+    """Return spread, centre frequency (log10) and mean of force and motion of every window, (windows, 6)."""
     columns = []
     forces = [model.input_map.force(r.voltage) for r in records]
     at = {id(r): n for n, r in enumerate(records)}
@@ -125,7 +125,7 @@ def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record
 
 
 def _distinct(features: np.ndarray, apart: float) -> list[int]:
-    """Return the indices of rows at least `apart` from each other."""
+    """Return the indices of feature vectors that are at least `apart` from each other."""
     kept: list[int] = []
     for n, row in enumerate(features):
         if not kept or np.linalg.norm(features[kept] - row, axis=1).min() > apart:
@@ -134,7 +134,7 @@ def _distinct(features: np.ndarray, apart: float) -> list[int]:
 
 
 def _farthest(features: np.ndarray, owners: Sequence[int]) -> list[int]:
-    """Return all rows in an order in which each is the farthest from those before it, the largest motion first."""
+    """Order all windows: the largest motion first, then always the one farthest from all before it."""
     owner, order = np.array(owners), [int(np.argmax(features[:, 3]))]
     distance = np.full(len(features), np.inf)
     while len(order) < len(features):

@@ -1,4 +1,4 @@
-"""The reference: how much of an error a flexible black-box model predicts from the input.
+"""Fit a flexible black-box model: how much of an error can be predicted from the input.
 
     y - y_h = sum_j w_j phi_j,   ridge, its penalty chosen out of fold;   phi of the free run (x, v) of a hypothesis h
 
@@ -47,7 +47,7 @@ def _forces(x: np.ndarray, v: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
 
 
 class _Features:
-    """Basis functions of every record, for one hypothesis."""
+    """Basis functions of a black-box model for every record, from the simulation of one hypothesis."""
 
     def __init__(self, case: Case, h: Hypothesis):
         drives = case.simulator.drives
@@ -74,7 +74,7 @@ class _Features:
             self.parts.append({"L": _bank(u, d.dt, self.longest), "S": forces, "G": answered, "Z": [x, v]})
 
     def columns(self, family: str) -> list[np.ndarray]:
-        """Return the basis functions of every record, shape (T, functions)."""
+        """Return the basis functions of one family for every record, shape (T, functions)."""
         rows = [np.stack([c for letter in family if letter in p for c in p[letter]], 1) for p in self.parts]
         if "V" not in family:
             return rows
@@ -94,7 +94,7 @@ class _Features:
 
 
 def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
-    """Return the out-of-fold residual of the best family for a hypothesis."""
+    """Return the out-of-fold evidence of the best black-box model added to a hypothesis."""
     features, tried = _Features(case, h), []
     for family in _FAMILIES:
         tried += _ridge(case, h, features.columns(family), floors)
@@ -102,7 +102,7 @@ def reference(case: Case, h: Hypothesis, floors: np.ndarray) -> Evidence:
 
 
 def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndarray) -> list[Evidence]:
-    """Return the out-of-fold evidence of every penalty.
+    """Return the out-of-fold evidence of a ridge regression with each penalty.
 
     Moments are computed once for every stretch of rows that belongs to the same folds; the fit without a fold adds its
     stretches.
@@ -134,7 +134,7 @@ def _ridge(case: Case, h: Hypothesis, columns: list[np.ndarray], floors: np.ndar
 
 @dataclass(frozen=True)
 class _Moments:
-    """Sums over some rows of a record: their number, x, x x', x y, y; and the least and the largest of x."""
+    """Sums over some rows of a record: count, x, x x', x y and y; and the smallest and largest x."""
 
     size: int
     x: np.ndarray
@@ -146,7 +146,7 @@ class _Moments:
 
 
 def _moments(x: np.ndarray, y: np.ndarray, seen: np.ndarray, step: int) -> dict[int, _Moments]:
-    """Return moments of every `step`-th row, by the folds that use them (bits of `seen`)."""
+    """Sum every `step`-th row of a record, separately for each combination of folds (bits of `seen`)."""
     x, y, seen = x[::step], y[::step], (seen * np.isfinite(y))[::step]
     # about the record's own mean, because squares far from zero would cancel
     centred, parts = x - (x[seen > 0].mean(0) if (seen > 0).any() else 0.0), {}
@@ -157,7 +157,7 @@ def _moments(x: np.ndarray, y: np.ndarray, seen: np.ndarray, step: int) -> dict[
 
 
 def _solved(records: list[list[_Moments]], weights: np.ndarray):
-    """Return ridge weights (columns, penalties) of standardised columns, sizes, least and largest; None if no rows."""
+    """Solve the ridge regression for all penalties: weights, column scales, extremes; None without rows."""
     n, xx, xy, low, high = 0, 0.0, 0.0, np.inf, -np.inf
     for parts, w in zip(records, weights, strict=True):
         if not parts:

@@ -1,4 +1,4 @@
-"""Results of a diagnosis in physical units: the ranking, the added effects, the parameters."""
+"""Results of a diagnosis in physical units: ranked effects, added effects, and their parameters."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -21,7 +21,7 @@ _PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names the
 
 @dataclass(frozen=True)
 class Ranked:
-    """The best form of one effect by itself.
+    """One effect added alone to the linear model, in its best form, with its errors.
 
     Attributes:
         effect, family, form: as in the catalogue.
@@ -47,7 +47,7 @@ class Ranked:
 
 @dataclass(frozen=True)
 class Added:
-    """One effect of the augmented model: name, form, and parameters as in `Ranked`."""
+    """One effect that the augmented model has beyond the nominal model, with its parameters as in `Ranked`."""
 
     effect: str
     form: str
@@ -55,7 +55,7 @@ class Added:
 
 
 def errors_of(search: Search, fit: Fit) -> dict[str, float]:
-    """Return standard errors of the free parameters (of logarithms if positive): block sandwich, B / (B - p).
+    """Return standard errors of the free parameters (of logarithms if positive), from blocks of residuals.
 
     Infinite if the records contain no information about a parameter.
     """
@@ -95,7 +95,7 @@ def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
-    """Return the parameters of one effect in physical units; `names`: their slots."""
+    """Return an effect's parameters in physical units, with standard errors; `names`: their names in the fit."""
     rows = {}
     for slot, (p, value) in zip(names, effect.numbers(), strict=True):
         if float(value) == p.off:  # a term that is off
@@ -110,12 +110,12 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
 
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
-    """Return the effects beyond the nominal, with their parameters."""
+    """Return the effects that the model adds to the nominal model, with parameters in physical units."""
     return tuple(Added(e.name, e.form, in_units(model, e, names, fit, errors)) for e, names in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
-    """Return the linear model's parameters divided by the given ones."""
+    """Return the linear model's refitted parameters, divided by the given ones, with standard errors."""
     nominal, rows = search.case.nominal, {}
     for k in search.movable:
         if k in fit.free:
@@ -126,12 +126,12 @@ def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
 
 
 def factor_name(slot: str) -> str:
-    """Return the name of a parameter of the linear model, relative to the given one."""
+    """Return the displayed name of a linear model's parameter that is divided by its given value."""
     return f"{slot[0]}_{slot[1]} over given" if slot in CORE else f"{_PLAIN[slot]} over given"
 
 
 def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
-    """Return the best form of every effect by itself, best first."""
+    """Return every effect added alone to the linear model, in its best form; the best effect comes first."""
     rows = []
     ranges, base = spans(search), search.base.evidence
     before = percent(base, ranges)

@@ -1,4 +1,4 @@
-"""All decision constants of the diagnosis, each with the study that set it.
+"""All decision constants of the diagnosis, each with the evidence for its value.
 
 P is the probability of being the best of the library, not of being right: a cause outside the library cannot be named.
 Rates come from the studies in docs/decisions/verdict.md, of 27 saved decisions on measured machines unless stated.

@@ -1,4 +1,4 @@
-"""Search over sets of effects: forward by a beam of two with a backward step, each scored out of fold.
+"""Search for the best set of effects: add effects one by one to the two best sets, scored out of fold.
 
 Level d holds the best form of every set of level d - 1 plus one effect: all starts take a few steps, and the best two
 are optimised. Sets are then refitted without each fold in order of their in-sample error, until that exceeds the
@@ -52,7 +52,7 @@ PARAMETERS = "parameters"
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A set of effects, fitted and scored out of fold.
+    """A set of effects, fitted to all records and scored by cross-validation.
 
     Attributes:
         fit: to all records.
@@ -70,17 +70,17 @@ class Hypothesis:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the search names of its effects."""
+        """Return the search names of the effects in the hypothesis."""
         return self.fit.names
 
     @property
     def rms(self) -> float:
-        """Return the out-of-fold error, geometric mean over records, scaled."""
+        """Return the geometric mean over records of the out-of-fold rms error, in scaled units."""
         return self.evidence.rms
 
 
 def scale_of(case: Case, base: Fit) -> Scale:
-    """Return the units of the starts: ranges of the measured motion and the base's own time constants."""
+    """Return the units of initial guesses: ranges of the measured motion, time constants of the base model."""
     x = np.concatenate([s.output[s.counts] for s in case.series])
     moves = [_smooth(s.output) for s in case.series]
     v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
@@ -118,7 +118,7 @@ def _smooth(x: np.ndarray) -> np.ndarray:
 
 
 class Search:
-    """The hypotheses of a case that were tried, by their effects."""
+    """A search over sets of effects; it stores every hypothesis that was tried."""
 
     def __init__(
         self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None, own: float = 0.0,
@@ -156,7 +156,7 @@ class Search:
             self.library += [Form(PARAMETERS, None, {})]
 
     def _is_tried(self, form: Form) -> bool:
-        """Return whether a form can be added to the base and is not excluded."""
+        """Return whether an effect can be added to the base model and is not excluded."""
         spec, mass = form.spec, self.scale.a2 > 0
         if spec is None or spec.only_given or form.name in self.exclude:
             return False
@@ -171,7 +171,7 @@ class Search:
         return not (self.refit and spec.moves in free)
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
-        """Return the evidence of out-of-fold residuals."""
+        """Summarise out-of-fold residuals as evidence."""
         return evidence(rows, np.sqrt(self.floors), rules.OWN * self.misfit, self.case.blocks)
 
     # -- fits ----------------------------------------------------------------------------------------------------------
@@ -181,11 +181,11 @@ class Search:
         return [Hypothesis(f, self.labels(f), r, self.weigh(r), s) for f, r, s in zip(fits, rows, slots, strict=True)]
 
     def labels(self, fit: Fit) -> tuple[str, ...]:
-        """Return the catalogue names of a fit."""
+        """Return the catalogue names of the effects in a fit."""
         return tuple(CHANGED if n == PARAMETERS else named(n, fit.slots, self.scale) for n in fit.names)
 
     def _linear(self) -> Hypothesis:
-        """Return the linear model refitted: with the nominal's own structure, or in a refit with another one.
+        """Refit the linear model without effects; if the nominal model is refitted, also with other structures.
 
         Choose the structure with the fewest parameters that no other structure beats by 5 % with probability 0.9.
         Effects act on a core of order two at most, and a superfluous lag behind it would hide them. If few records make
@@ -219,7 +219,7 @@ class Search:
         return Fit((), free, slots, self.case.starts.copy())
 
     def _structures(self) -> list[Fit]:
-        """Return fits of orders one to four: a core with or without mass, a delay, a lag or a second-order filter."""
+        """Return initial guesses of linear models of orders one to four, with a mass, a delay, a lag or a filter."""
         v = {k: self.case.nominal[INDEX[k]] for k in (*CORE, LAG, FILTER, FILTER_ZETA)}
         dt, late = self.case.dt, self.case.nominal[INDEX[DELAY]]
         own, core = self.core, tuple(k for k in self.core if k not in (LAG, FILTER))
@@ -243,7 +243,7 @@ class Search:
         return fits
 
     def extend(self, fronts: Sequence[Hypothesis], without: Set[str] = frozenset()) -> None:
-        """Fit one more effect to every front, each by its best form, and score it out of fold."""
+        """Add one more effect to each hypothesis in `fronts`, fit the best forms, and score them out of fold."""
         groups: dict[frozenset, list[Fit]] = {}
         below: dict[int, Fit] = {}
         for front in fronts:
@@ -270,7 +270,7 @@ class Search:
             self.judge(depth, without)
 
     def _climb(self, groups: dict[frozenset, list[Fit]]) -> None:
-        """Optimise every hypothesis that lowers the error of the one below it, and queue it for its out-of-fold score.
+        """Fit the candidates, and queue those that lower the error of the hypothesis that they extend.
 
         The first steps use few records only, so the best hypotheses continue even if these steps improve no other
         record.
@@ -298,15 +298,15 @@ class Search:
                 self.waiting[frozenset(fit.names)] = fit
 
     def _gains(self, fit: Fit) -> bool:
-        """Return whether a fit has at least GAIN less error than the hypothesis below it."""
+        """Return whether a fit lowers the error of the hypothesis that it extends by at least GAIN."""
         return self._leaves_less(fit, self.every[frozenset(fit.names[:-1])].fit)
 
     def _leaves_less(self, fit: Fit, other: Fit) -> bool:
-        """Return whether a fit has GAIN less error than another one; errors below the nominal's own count as that."""
+        """Return whether a fit has GAIN less error than another; errors below the nominal model's own count as that."""
         return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
 
     def _left(self, fit: Fit) -> float:
-        """Return the log of a fit's mean square error, at least that of the nominal's own error."""
+        """Return the logarithm of a fit's mean square error, limited below by the nominal model's own error."""
         total = 0.0
         for r, floor in zip(fit.residuals, self.floors, strict=True):
             seen = r[np.isfinite(r)]
@@ -314,7 +314,7 @@ class Search:
         return total / self.samples
 
     def judge(self, depth: int, without: Set[str] = frozenset()) -> None:
-        """Refit waiting hypotheses of this many effects without each fold, until the best three are certain.
+        """Cross-validate the waiting hypotheses of `depth` effects, until the best three are certain.
 
         The in-sample error of a fit is never above its out-of-fold error. Hypotheses are therefore refitted in order of
         their in-sample error, and one above the third-best out-of-fold error waits.
@@ -333,7 +333,7 @@ class Search:
             fits = fits[count:]
 
     def judged(self, names: Set[str]) -> Hypothesis | None:
-        """Return the hypothesis of these effects, refitted without each fold if necessary; None if not tried."""
+        """Return the hypothesis of these effects, cross-validated if necessary; None if it was not tried."""
         key = frozenset(names)
         if key in self.waiting:
             self._settle([self.waiting[key]])
@@ -345,12 +345,12 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """Return the form with the fewest parameters whose error is at most GAIN above the best."""
+        """Return the fit with the fewest parameters whose error is at most GAIN above the best."""
         best = min(forms, key=lambda f: f.cost)
         return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return memories with one time constant, or with two a decade apart if these reduce the error by GAIN."""
+        """Add a second time constant, a decade apart, to memory effects where this reduces the error by GAIN."""
         more: list[tuple[int, Fit]] = []
         for n, f in enumerate(fits):
             if f.names[-1] not in DOUBLED:
@@ -369,7 +369,7 @@ class Search:
         return best
 
     def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Return the best fits for every linear structure if that has GAIN less error than the original one.
+        """Refit the best sets of effects on every linear structure; keep one if its error is lower by GAIN.
 
         The first steps would rank structures by how well a wrong effect fits them: friction without its mass had six
         times the error.
@@ -394,7 +394,7 @@ class Search:
         return best
 
     def _foremost(self, groups: dict[frozenset, list[Fit]], below: dict[int, Fit], most: int):
-        """Return the most promising starts of the most promising sets.
+        """Return the most promising initial guesses of the most promising sets of effects.
 
         An effect that improves the fit together with another may do nothing alone, so the first level is a poor guide.
         """
@@ -419,7 +419,7 @@ class Search:
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
-        """Return the evidence of separate linear models of each record if every fold has parts of all; otherwise None.
+        """Cross-validate a separate linear model for each recording; None unless there are two or three.
 
         Leaving out parts of recordings cannot show whether all recordings come from one machine: parameters fitted to
         two loads at once describe neither, and predict a third load worse than the nominal does.
@@ -438,7 +438,7 @@ class Search:
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
-        """Reset coefficients of the best set to the nominal where their change is not needed."""
+        """Reset refitted coefficients of the best set to their nominal values where the change is not needed."""
         best = self.best()
         if PARAMETERS not in best.names:
             return
@@ -466,7 +466,7 @@ class Search:
     # -- the beam ------------------------------------------------------------------------------------------------------
 
     def run(self) -> None:
-        """Search level by level, and store the hypotheses in `every`."""
+        """Search sets of one, two and more effects, and store the hypotheses in `every`."""
         # in a refit for every linear structure, because gear friction cannot be found without its mass or its delay
         fronts, levels = [self.base], [self.base]
         fronts += [h for h in self.linears if h.fit.free != self.base.fit.free] if self.refit else []
@@ -494,12 +494,12 @@ class Search:
         self.fewer_moved()
 
     def level(self, depth: int, without: Set[str] = frozenset()) -> list[Hypothesis]:
-        """Return the sets of this many effects, best first."""
+        """Return the hypotheses of `depth` effects that lack the effects in `without`, best first."""
         sets = [h for h in self.every.values() if len(h.names) == depth and not without & set(h.names)]
         return sorted(sets, key=lambda h: h.rms)
 
     def _backward(self) -> None:
-        """Try also sets that lack one effect of the best, because the first effect may have replaced a later one."""
+        """Fit the best set without each of its effects, because the first may have replaced a later one."""
         best = self.best()
         if len(best.names) > 2:
             for name in best.names:
@@ -527,7 +527,7 @@ class Search:
             self._settle([done])
 
     def best(self) -> Hypothesis:
-        """Return the last set that improves the fit significantly."""
+        """Return the last set of effects, in order of size, that improves the fit significantly."""
         best, floor = self.base, self.own
         # over all that was tried, including sets of the backward step
         deepest = max(len(h.names) for h in self.every.values())
@@ -542,7 +542,7 @@ class Search:
         return best
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
-        """Return the best set of a level, or an equally good one with fewer or only nominal parameters."""
+        """Return the best of equally large sets, or an equally good one with fewer or only linear parameters."""
         best = self._plainer(level, level[0], lambda h: PARAMETERS in h.names)
         if PARAMETERS in best.names:
             others = {*best.names} - {PARAMETERS}
@@ -560,7 +560,7 @@ class Search:
         return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
-        """Return the sets from the base to the chosen one, the best step first."""
+        """Return the hypotheses from the base model to the chosen set, one more effect each, the best first."""
         steps: list[Hypothesis] = [self.linear] if self.refit else []
         have: frozenset = frozenset()
         while have != frozenset(chosen.names):
@@ -574,7 +574,7 @@ class Search:
         return steps
 
     def without(self, names: Set[str], depth: int) -> None:
-        """Search sets of at most `depth` effects without some of them anew, to find alternatives."""
+        """Search again for sets of at most `depth` effects without some effects, to find alternatives."""
         self.judge(1, names)
         for d in range(2, depth + 1):
             fronts = self.level(d - 1, names)[:BEAM]
@@ -588,7 +588,7 @@ def _written(h: Hypothesis) -> str:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the fits best first, but the best of every form before a second one of any form."""
+    """Order fits best first, with the best of each form before a second one of any form."""
     seen: dict[frozenset, int] = {}
     turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
     return [
@@ -597,7 +597,7 @@ def _varied(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the fits without duplicates that converged to the same result."""
+    """Remove fits that converged to the same result."""
     kept: list[Fit] = []
     for f in fits:
         if not any(set(f.free) == set(g.free) and abs(f.cost - g.cost) < 1e-4 * abs(g.cost) for g in kept):

@@ -1,4 +1,4 @@
-"""Select the recordings that a diagnosis can use: those that move, with a note on the others."""
+"""Select the recordings that a diagnosis can use: those with motion; a note names the others."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -10,7 +10,7 @@ from .._record.sets import check_set
 
 
 def usable(records: Sequence[Record]) -> tuple[tuple[Record, ...], tuple[str, ...]]:
-    """Return the records to diagnose, and one line on those left out.
+    """Return the records that move, and notes on the records left out.
 
     Raises:
         BadInput: no records, of several rates or kinds of output, two of one name, or none that moves.

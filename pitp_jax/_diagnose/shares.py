@@ -1,4 +1,4 @@
-"""The budget: fractions of the gap's energy by cause, out of fold, with intervals; all fractions sum to 1.
+"""Divide the energy of the error by cause, out of fold, with intervals; all fractions sum to 1.
 
     E(h) = mean over records of MSE_r / range_r^2,   fraction of a part = (E before it - E after it) / E of the nominal
 
@@ -19,7 +19,7 @@ _DRAWS = 1000
 
 
 def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
-    """Return the energy E of every set, first the estimate and then draws of records and blocks, (sets, 1 + draws)."""
+    """Return the error energy of every hypothesis: the estimate, then bootstrap draws, shape (sets, 1 + draws)."""
     first = sets[0]
     number = len(np.unique(first.records))
     energy = np.zeros((len(sets), 1 + _DRAWS))
@@ -33,7 +33,7 @@ def energies(sets: Sequence[Evidence], spans: np.ndarray) -> np.ndarray:
 
 
 def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
-    """Return the `budget` of docs/contract.md; `raw`: the nominal with the records' own offsets and initial states."""
+    """Return the energy fractions as the `budget` of docs/contract.md; `raw`: the nominal model before any fit."""
     chosen, spans = decision.chosen, np.array([s.span for s in search.case.series])
     steps = search.steps(chosen)
     more = decision.above if decision.more >= rules.SURE else chosen.evidence

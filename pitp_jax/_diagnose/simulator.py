@@ -1,4 +1,4 @@
-"""Simulate free runs of many parameter vectors: catalogue rows around an exact linear core.
+"""Simulate the output for many parameter vectors: catalogue effects around an exact linear core.
 
     a_0 x + a_1 x' + a_2 x'' = F c(x) - f(x, x', z),   F = map(V) / force scale,   y = sensor(x)
 
@@ -32,7 +32,7 @@ _CHEAP = tuple(r for r in ROWS if not r.costly)
 
 @dataclass(frozen=True)
 class Film:
-    """The force of a record before thinning, for its mean around any instant.
+    """The drive term (V^2 or V) of a record before thinning, to average it around any time.
 
     Attributes:
         impulse: its integral up to every sample, V^2 s or V s, shape (samples,).
@@ -48,7 +48,7 @@ class Film:
     edges: tuple[float, float]
 
     def force(self, time: np.ndarray) -> np.ndarray:
-        """Return the mean force around instants (s after the first thinned sample), shape (T,)."""
+        """Return the drive term (V^2 or V) averaged around times (s after the first thinned sample), shape (T,)."""
         low, high = (self._until(time + half) for half in (-self.window / 2, self.window / 2))
         return (high - low) / self.window
 
@@ -61,7 +61,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Drive:
-    """Simulation input of one record: voltage at every sample (V), step (s), and initial state.
+    """Simulation input of one record: voltage at every sample (V), sampling interval (s), and initial state.
 
     Attributes:
         voltage: shape (T,).
@@ -86,7 +86,7 @@ class Drive:
 
 @dataclass(frozen=True)
 class Simulator:
-    """Free runs of parameter vectors, each with a record.
+    """A simulator of many parameter vectors, each with the input of one record.
 
     Attributes:
         drives: one per record.
@@ -105,7 +105,7 @@ class Simulator:
     devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
-        """Simulate slots (lanes, numbers), each with a record from a start (x, v); return scaled y (T,), or nan."""
+        """Simulate parameter vectors, each with a record from (x, v); return scaled outputs (T,), nan if diverged."""
         places = np.asarray(records, int)
         costly = (slots != OFF)[:, COSTLY].any(1)
         steps = np.array([len(d.voltage) for d in self.drives])[places]
@@ -155,7 +155,7 @@ class Simulator:
         return [y[: sizes[k], k] for k in range(lanes)]
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
-        """Return the delayed input at every step's ends, shape (steps + 1, lanes); its force is linear in between."""
+        """Return delayed voltages at the ends of the steps, (steps + 1, simulations); V|V| is linear in between."""
         # one delayed input for all simulations with the same record and delay
         pairs, which = np.unique(np.stack([records, _delay(slots)], 1), axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
@@ -172,7 +172,7 @@ class Simulator:
         return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
 
     def _jumped(self, column: np.ndarray, drive: Drive, delay: float) -> np.ndarray:
-        """Return a delayed input with the voltage played before its first sample.
+        """Return a delayed voltage, with the voltage before the record ahead of its first sample.
 
         Every step's end has the mean over half a step on either side (over one, at the first), so that the area under
         the force does not depend on the position of the jump within a step.
@@ -187,17 +187,17 @@ class Simulator:
 
 
 def _delay(slots: np.ndarray) -> np.ndarray:
-    """Return the delay of the input (s), shape (lanes,); negative if the output column is ahead of it."""
+    """Return the delay of the input (s), shape (simulations,); negative if the output column is ahead of it."""
     return slots[:, INDEX[DELAY]] - slots[:, INDEX[EARLY]]
 
 
 def root(force: np.ndarray) -> np.ndarray:
-    """Return V from the value of V|V|."""
+    """Compute the voltage V from V|V|."""
     return np.sign(force) * np.sqrt(np.abs(force))
 
 
 def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return E, b and d of (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) for every a_0 x + a_1 x' + a_2 x'' = F.
+    """Compute the exact step (x, v)+ = E (x, v) + b F_0 + d (F_1 - F_0) of a_0 x + a_1 x' + a_2 x'' = F.
 
     The exponential of [[A, B, 0], [0, 0, 1], [0, 0, 0]] by scaling and squaring; a_2 = 0: order 1, v is not used.
     """
@@ -226,7 +226,7 @@ def step_response(a0, a1, a2, h) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 class Plant(NamedTuple):
-    """The linear core, one number each: coefficients, E, b and d of its step, and the step's length (s)."""
+    """The linear core: coefficients a_0, a_1, a_2, the matrices E, b, d of its exact step, and the step (s)."""
 
     a0: Any
     a1: Any
@@ -250,7 +250,7 @@ def _plant(core: np.ndarray, h: np.ndarray) -> Plant:
 
 @dataclass(frozen=True)
 class Middle(Instant):
-    """The middle of a step of the exact core, with the velocity and the acceleration of that step.
+    """The middle of a simulated step of the linear core, with the velocity and the acceleration of that step.
 
     Attributes:
         highest, free, reply: of the step, as those of an `Instant`.
@@ -262,19 +262,19 @@ class Middle(Instant):
 
     @property
     def order(self) -> int:
-        """Return the order of the core, which may nevertheless lack a mass."""
+        """Return 2, the order of the linear core, which may nevertheless lack a mass."""
         return 2
 
     @property
     def v(self):
-        """Return the scaled x'."""
+        """Return the scaled velocity x'."""
         return self.state[1]
 
 
 @partial(jax.jit, static_argnums=0)
 @partial(jax.vmap, in_axes=(None, *(-1,) * 5), out_axes=-1)
 def _begin(rows, slots, h, start, volts, session):
-    """Return the effects, the constants of their memories, and the initial state: x, v, x' of the last step, memories.
+    """Return effects, constants of their memories, and the initial state (x, v, x' of the last step, memories).
 
     Memories are settled at the previous voltage.
     """

@@ -1,4 +1,4 @@
-"""Find a spectral line in every record's residual that does not depend on the input: hum, not the actuator.
+"""Find a spectral line in every record's residual that does not depend on the input, such as mains hum.
 
     |E(f)|^2 has most of its energy within three bins of one f, the same in all records, while the inputs' F have not
 
@@ -15,7 +15,7 @@ _FRACTION = 0.8  # of an error's energy within three bins of one frequency: a li
 def steady_tone(
     errors: Sequence[np.ndarray], voltages: Sequence[np.ndarray], intervals: Sequence[float]
 ) -> tuple[float, float] | None:
-    """Return (Hz, least fraction of a record's error), or None.
+    """Return the line's frequency (Hz) and least fraction of a record's error energy; None without a line.
 
     Args:
         errors: residuals, zero where the output is missing.

@@ -1,4 +1,4 @@
-"""A term found in the data when no effect fits: the missing force as an equation, with units and intervals.
+"""Describe the missing force as an equation when no effect fits, with units and intervals.
 
     sum_i a_i x^(i) = F - f,   f = c1 x x' + c2 x^2 x' + c3 x' F        (`_effects.found_term`)
 
@@ -18,7 +18,7 @@ from .search import Hypothesis, Search
 
 @dataclass(frozen=True)
 class Term:
-    """The missing force as an equation.
+    """The missing force as an equation found in the data, with its parameters and the fraction it closes.
 
     Attributes:
         equation: sum_i a_i x^(i) = F - (this), with the parameters' names.
@@ -36,13 +36,13 @@ class Term:
     effect: object
 
     def as_json(self) -> dict:
-        """Return the dict of docs/contract.md."""
+        """Return the term as the dict of docs/contract.md."""
         rows = {"equation": self.equation, "parameters": self.parameters, "closed_fraction": self.closed_fraction}
         return rows | {"ci95": list(self.ci95) if self.ci95 else None}
 
 
 def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: dict, gap: Gap) -> Term | None:
-    """Return the term of the returned model; None if it has none."""
+    """Return the missing force of the returned model as a term; None if the model has none."""
     pair = next(((e, names) for e, names in made[1] if e.spec == TERM), None)
     if pair is None:
         return None
@@ -58,7 +58,10 @@ def term_of(search: Search, decision, handed: Hypothesis, made: tuple, errors: d
 
 
 def equation(coefficients: tuple[str, ...], beside: list, units: Units) -> str:
-    """Return `missing force = c1 x x' + c3 x' V^2` (u if the input is not a voltage), with other effects named."""
+    """Write the missing force as an equation, such as `missing force = c1 x x' + c3 x' V^2`.
+
+    An input that is not a voltage is written u, and the other effects are named.
+    """
     drive = ("V" if units.input_word == "voltage" else "u") + ("^2" if units.squared else "")
     products = dict(zip((p.name for p in TERM.parameters), PRODUCTS, strict=True))
     terms = " + ".join(f"{c} {products[c].replace('F', drive)}" for c in coefficients)

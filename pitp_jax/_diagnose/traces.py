@@ -1,4 +1,4 @@
-"""Every record with free runs of the nominal and of the returned model."""
+"""Simulate every record with the nominal model and with the returned model."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ from .._simulate.prediction import predict
 
 @dataclass(frozen=True)
 class Trace:
-    """One record in measured units: time (s), voltage (V), measured, nominal and augmented output; held out or not."""
+    """A record (s, V, measured unit) with the simulated outputs of the nominal and the returned model."""
 
     name: str
     heldout: bool
@@ -24,7 +24,7 @@ class Trace:
 
 
 def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
-    """Return every record with free runs of the nominal and of the returned model."""
+    """Simulate every record with the nominal model and with the returned model."""
     first = predict(nominal, records)
     second = first if augmented is nominal else predict(augmented, records)
     return tuple(
@@ -42,6 +42,6 @@ def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tu
 
 
 def levelled(p, r: Record) -> np.ndarray:
-    """Return a run with its offset fitted over the record."""
+    """Return a simulated output whose offset is fitted to the record."""
     seen = p.scored & np.isfinite(r.displacement) & np.isfinite(p.displacement)
     return p.displacement + (np.mean((r.displacement - p.displacement)[seen]) if seen.any() else 0.0)

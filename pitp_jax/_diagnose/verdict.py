@@ -1,4 +1,4 @@
-"""The verdict: which effects of the last significant hypothesis are reported, with which ties, and how certain.
+"""Decide which effects of the best hypothesis are reported, with which ties, and how certain they are.
 
 no_gap     the nominal's error is at most OWN times that on its own records; or the refitted nominal's that of the
            sensor's noise, and neither a set nor the reference is better by 1 - FIRST with P >= SURE
@@ -33,7 +33,7 @@ _LARGER = "A larger set of effects leaves less than half of the error, and does 
 
 @dataclass(frozen=True)
 class Decision:
-    """The verdict with its evidence.
+    """The verdict of a diagnosis with its evidence.
 
     Attributes:
         verdict: as above.
@@ -64,7 +64,10 @@ class Decision:
 
 
 def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
-    """Judge a search; `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: excitations."""
+    """Judge a search: choose the verdict and the reported effects.
+
+    `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: number of distinct excitations.
+    """
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
     # in a refit also for every linear structure, because a reference on a poor one would be a low bar
@@ -144,12 +147,15 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
 
 
 def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
-    """Return P that the rival's error is larger by at least GAIN; less depends on the simulator's own error."""
+    """Return the probability that the rival's error is larger by at least GAIN.
+
+    A smaller difference depends on the simulator's own error.
+    """
     return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
 
 
 def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bool:
-    """Return whether every effect of the set is also certain in a larger set with far less error."""
+    """Return whether each effect of the chosen set is also needed (P >= SURE) in the larger set `deepest`."""
     for name in chosen.names:
         if name not in deepest.names:
             return False
@@ -160,12 +166,12 @@ def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bo
 
 
 def _nested(h: Hypothesis, chosen: Hypothesis) -> bool:
-    """Return whether a rival frees all of the nominal's parameters and the set only one of them."""
+    """Return whether `h` refits all linear parameters while the chosen set has an effect on one of them."""
     return PARAMETERS in h.names and bool(set(LONE) & set(chosen.names)) and PARAMETERS not in chosen.names
 
 
 def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesis:
-    """Return the best set no larger than the chosen one without some effects, searched anew."""
+    """Search again without some effects; return the best set that is no larger than the chosen one."""
     search.without(without, len(chosen.names))
     labels = {label for n, label in zip(chosen.names, chosen.labels, strict=True) if n in without}
     lacking = [
@@ -178,7 +184,7 @@ def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesi
 
 
 def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
-    """Return, by search name, each effect's fraction of the closed energy in the order added.
+    """Return each effect's fraction of the removed error energy in the order added, by search name.
 
     The loss without an effect is less informative: if two effects can replace each other, the loss of either is small.
     """

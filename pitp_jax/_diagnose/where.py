@@ -1,4 +1,4 @@
-"""Where the gap lies: residual energy of the nominal over all axes, with noise subtracted.
+"""Locate the nominal model's error: by record, frequency, time, displacement, velocity and voltage.
 
     output     fraction of  sum w (e^2 - sigma^2)  by record, frequency of the residual, harmonic of the input, and time
     force      r = F - a_0 x - a_1 x' - a_2 x''  (what the equation lacks), by displacement, velocity, voltage,
@@ -34,7 +34,7 @@ _FLAG = 0.15  # a flagged cell's missing force, rms, relative to that of the lar
 
 @dataclass(frozen=True)
 class Motion:
-    """One thinned record along its measured motion.
+    """A thinned record with derivatives and missing force along its measured motion.
 
     Attributes:
         record: thinned, in V and scaled displacement.
@@ -53,7 +53,7 @@ class Motion:
 
 
 class Seen(NamedTuple):
-    """The input of the tables: motions, and the units of their axes."""
+    """The records along their measured motion, and the units of the tables' axes."""
 
     motions: tuple[Motion, ...]
     omega: float
@@ -63,12 +63,12 @@ class Seen(NamedTuple):
 
     @property
     def dt(self) -> float:
-        """Return the step of the thinned records, s."""
+        """Return the time between thinned samples, s."""
         return self.motions[0].record.dt
 
 
 def motions(case: Case, scale: Scale) -> Seen:
-    """Return derivatives and missing forces along the measured motion; `scale`: of the search."""
+    """Compute the derivatives and the missing force along the measured motion of every record."""
     along, dt = [], case.dt
     a = [case.nominal[INDEX[k]] for k in CORE]
     omega = 1 / scale.tau
@@ -88,7 +88,7 @@ def motions(case: Case, scale: Scale) -> Seen:
 
 
 def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
-    """Return the `where` of docs/contract.md: fractions that sum to 1 per axis, and one plain sentence."""
+    """Return the location of the error as the `where` of docs/contract.md: fractions per axis, one sentence."""
     errors = [np.nan_to_num(e) for e in errors]
     out = {
         "records": _records(seen, errors),
@@ -106,13 +106,13 @@ def locate(seen: Seen, errors: Sequence[np.ndarray]) -> dict:
 
 
 def nowhere() -> dict:
-    """Return the `where` of a gap that could not be located."""
+    """Return an empty `where`, for an error that could not be located."""
     empty: dict = {"records": {}, "harmonics": {}, "tone": None, "summary": ""}
     return empty | {name: [] for name in ("frequency", "time", "displacement", "velocity", "voltage", "cells")}
 
 
 def _quiet(seen: Seen) -> float:
-    """Return the mean square of the missing force from noise alone: the lowest of its local mean squares."""
+    """Estimate the mean square of the missing force from noise alone: the lowest of its local mean squares."""
     size = max(int(np.pi / seen.omega / seen.dt), 8)
     # mean squares over half a natural period, of which the smallest contain hardly any gap
     local = [np.convolve(m.force**2, np.ones(size) / size, "valid")[::size] for m in seen.motions]
@@ -149,13 +149,13 @@ def _frequency(seen: Seen, errors) -> list[dict]:
 
 
 def _binned(key: str, edges: np.ndarray, energy) -> list[dict]:
-    """Return bins between edges, each with its fraction of the energy."""
+    """Return the bins between edges, each with its fraction of the energy."""
     rows = zip(edges[:-1], edges[1:], _shares(energy), strict=True)
     return [{key: [float(a), float(b)], "share": float(v)} for a, b, v in rows]
 
 
 def _harmonics(seen: Seen, errors) -> dict:
-    """Return fractions at multiples of the input's frequency (sines only) and "other"; empty without a sine."""
+    """Return error fractions at multiples of a sine input's frequency, and "other"; empty without a sine."""
     totals: dict[str, float] = {}
     for s, e in zip(seen.motions, errors, strict=True):
         # for other inputs no line shows which multiple an error belongs to
@@ -176,7 +176,7 @@ def _harmonics(seen: Seen, errors) -> dict:
 
 
 def _tone(seen: Seen, errors) -> dict | None:
-    """Return frequency, number of records and energy fraction of the residuals' `steady_tone`."""
+    """Return frequency (Hz), records and energy fraction of a `steady_tone` in the residuals; None without one."""
     tone = steady_tone(
         [e * (s.weight > 0) for s, e in zip(seen.motions, errors, strict=True)],
         [s.record.voltage for s in seen.motions],
@@ -186,7 +186,7 @@ def _tone(seen: Seen, errors) -> dict | None:
 
 
 def _time(seen: Seen, errors) -> list[dict]:
-    """Return the fractions by tenths of a record, all records together."""
+    """Return the fractions of the error energy by tenths of a record, all records together."""
     energy = np.zeros(_BINS)
     for s, e in zip(seen.motions, errors, strict=True):
         parts = np.array_split(s.weight * (e**2 - s.noise**2), _BINS)
@@ -209,7 +209,7 @@ def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
 
 
 def _cells(seen: Seen, quiet: float) -> list[dict]:
-    """Return cells of local input frequency x local amplitude, over windows of at least half a natural period."""
+    """Return cells of local input frequency and amplitude, with their fractions of the missing force's energy."""
     bands, reach = _edges_hz(seen), seen.reach
     energy, weight = np.zeros((2, len(bands) - 1, len(AMPLITUDE_EDGES) - 1))
     for m in seen.motions:
@@ -239,7 +239,7 @@ def _cells(seen: Seen, quiet: float) -> list[dict]:
 
 
 def windows(s: Motion, seen: Seen):
-    """Return windows between the input's mean crossings: (first, last, local frequency in Hz, largest |X|)."""
+    """Return windows between mean crossings of the input: (first, last, frequency in Hz, largest |X|)."""
     u = s.record.voltage - (s.record.voltage.max() + s.record.voltage.min()) / 2
     crossings = np.flatnonzero(np.diff(np.signbit(u)))
     shortest = max(int(np.pi / seen.omega / seen.dt), 4)
@@ -258,7 +258,7 @@ def windows(s: Motion, seen: Seen):
 
 
 def _sentence(seen: Seen, out: dict) -> str:
-    """Return a sentence on the cells with most of the gap, and the record and band with the largest fraction."""
+    """Describe the cells with most of the error, and the record and band with the largest fraction."""
     unit = seen.unit
     factor = from_base(1.0, unit)
     ordered = sorted(out["cells"], key=lambda c: -c["share"])

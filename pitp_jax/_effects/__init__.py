@@ -1,4 +1,4 @@
-"""The catalogue: every effect a diagnosis may report, as rows of one table, in the order in which their forces act.
+"""The catalogue: every effect that a diagnosis may report, as table entries, in the order in which they act.
 
 A new effect is one row in the file of its port; a new kind of memory needs one kernel as well. Velocity and friction
 act on the sum of all forces before them.
@@ -21,7 +21,7 @@ CATALOGUE: tuple[EffectSpec, ...] = (
 
 
 def lookup(name: str, form: str | None = None) -> EffectSpec:
-    """Return the row of that name and form (the name's first form without one).
+    """Return the catalogue entry of an effect's name and form; without a form, the first one of this name.
 
     Raises:
         BadInput: it does not exist; the message lists all.
@@ -37,7 +37,7 @@ def lookup(name: str, form: str | None = None) -> EffectSpec:
 
 
 def effect(name: str, *, form: str | None = None, **numbers) -> Effect:
-    """Return an effect with its parameters in the model's scaled coordinates.
+    """Build an effect with these parameters, in the model's scaled coordinates.
 
     Args:
         name, form: as in the catalogue; default: the effect's first form.

@@ -1,4 +1,4 @@
-"""Effects on the film's force at the square (port SQ).
+"""Effects that change the film's force behind the square of the voltage (port SQ).
 
 stretch_coupling        F (1 + b x),  F exp(b x): never a pushing force
 dielectric_saturation   F / (1 + |F| / F_s)
@@ -15,7 +15,7 @@ _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
 def _stretched(form: str, title: str, equation: str, factor: Callable, costly: bool = False) -> EffectSpec:
-    """Build a row: F times a factor of x that stays positive, inverted by division."""
+    """Build a catalogue entry: F times a positive factor that depends on x; the inverse divides by it."""
     return EffectSpec(
         "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
@@ -24,7 +24,7 @@ def _stretched(form: str, title: str, equation: str, factor: Callable, costly: b
 
 
 def _no_field(force, possible, inside):
-    """Return the film's force for a wanted force, infinite if no electric field can produce it."""
+    """Return the film's force for a wanted force; infinite if no electric field can produce it."""
     return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
 
 

@@ -1,4 +1,4 @@
-"""Effects that dissipate energy (port C).
+"""Effects that dissipate energy: drag and dry friction (port C, a force that depends on the velocity).
 
 drag              f = c x' |x'|
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
@@ -17,7 +17,7 @@ from .spec import EffectSpec, Parameter
 
 
 def dry(now: Instant, level):
-    """Return the force that stops the motion within the step, up to a level.
+    """Return the friction force that stops the motion within the time step, limited to `level`.
 
     The sign of the velocity would overshoot and chatter at every step at standstill.
     """
@@ -28,7 +28,7 @@ def dry(now: Instant, level):
 
 
 def _smooth(p, now: Instant):
-    """Return F_c tanh(x' / v_s) at the step's end, for any v_s; at the current x' along a given motion."""
+    """Return the friction F_c tanh(x' / v_s) at the end of the time step, or at the x' of a given motion."""
     if now.order > 2 or now.last is not None:
         return p.level * jnp.tanh(now.v / p.speed)
     reply, free = now.reply, now.free

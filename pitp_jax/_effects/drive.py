@@ -1,4 +1,4 @@
-"""Effects of amplifier and electrodes on the command before the square (port IN): u to the film's V.
+"""Effects of amplifier and electrodes: from the commanded voltage u to the film's voltage V (port IN).
 
 electrode_rc      tau V' = u - V                  bleeder         the same, with a tau up and one down
 force_lag         V^2 = F,  tau F' = u^2 - F
@@ -23,7 +23,7 @@ _STORE = Parameter("tau", "s", slow=True)
 
 
 def last_lag(p, w, z):
-    """Return the last lag's output, or the input if there is no lag."""
+    """Return the output of the last lag, or its input if the time constant is zero."""
     return jnp.where(p.tau > 0, z[-1], w)
 
 
@@ -40,12 +40,12 @@ def _slow_enough(p, v, dt):
 
 
 def _led_force(p, v, dt):
-    """Compute the force behind the lag."""
+    """Compute the input V^2 of a lag whose output is v^2, with the time constant tau."""
     return lead(v**2, dt, p.tau)
 
 
 def _by_area(p, k, plant):
-    """Report a loop that is run through at once as the level at its end."""
+    """Report a loop as a voltage offset if its width is small against the input's integral."""
     name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
     return name, "Dahl of the command's integral", (p.level, p.width)
 

@@ -1,4 +1,4 @@
-"""An effect: a row of the catalogue with its parameters, used by rollout, screening and inverse.
+"""An effect: a catalogue entry with its parameters, used by simulation, diagnosis and inverse.
 
     IN, SQ, OUT   apply: w -> law(p, w, z)            undo: closed form, else Newton on  law(p, w, z(w)) = wanted
     K C M T       act:   sigma_2 += mass(p, now),  sigma_off += law(p, now)
@@ -28,7 +28,7 @@ _ROUNDING = 3e-6  # relative, in float32: how exactly a law must reproduce the s
 
 @dataclass(frozen=True)
 class Instant:
-    """The variables of a force: the frozen step so far, or an instant of a given motion.
+    """The variables on which a force depends: those of one time step, or of one instant of a given motion.
 
     Attributes:
         state: scaled S at the drifted midpoint (x^(n-1) as at the step's beginning), shape (n,).
@@ -55,7 +55,7 @@ class Instant:
 
     @property
     def order(self) -> int:
-        """Return the order n of the equation."""
+        """Return the order n of the differential equation."""
         return self.state.shape[0]
 
     @property
@@ -65,12 +65,12 @@ class Instant:
 
     @property
     def k(self):
-        """Return the scaled stiffness of the nominal."""
+        """Return the scaled stiffness of the nominal model."""
         return self.coefficients[0]
 
     @property
     def v(self):
-        """Return the scaled x' half a step later (order 2: by the acceleration at the step's start)."""
+        """Return the scaled velocity x' half a time step later (order 2: from the acceleration at its start)."""
         # at order 1 x' is the highest derivative: not a state, but the frozen step's result
         if self.order == 1:
             return self.highest if self.last is None else self.last
@@ -80,7 +80,7 @@ class Instant:
 
     @property
     def highest(self):
-        """Return the scaled x^(n) of the frozen step."""
+        """Return the scaled highest derivative x^(n) of the time step, or of a wanted motion."""
         if self.wanted:
             return self.last
         n = self.order
@@ -88,33 +88,33 @@ class Instant:
 
     @property
     def free(self):
-        """Return the scaled x' at the end of the step without this effect's force."""
+        """Return the scaled velocity x' at the end of the time step without the force of this effect."""
         return self.highest if self.order == 1 else self.state[1] + self.h * self.rates[1] * self.highest
 
     @property
     def reply(self):
-        """Return by how much a unit of scaled force slows x' until the end of the step."""
+        """Return by how much a unit of scaled force slows x' until the end of the time step."""
         return 1 / self.tokens[1] if self.order == 1 else self.h * self.rates[1] / self.tokens[2]
 
     @property
     def inertial(self):
-        """Return the scaled a_2 x'' of the frozen step; zero below order 2."""
+        """Return the scaled inertial force a_2 x'' of the time step; zero below order 2."""
         if self.order < 2:
             return 0.0 * self.x
         return self.tokens[2] * (self.highest if self.order == 2 else self.state[2])
 
     def pulled(self, force) -> "Instant":
-        """Return the frozen equation with one more force."""
+        """Return the equation of the time step with one more force."""
         return replace(self, offset=self.offset + force)
 
     def heavier(self, mass) -> "Instant":
-        """Return the frozen equation with more mass: in front of x'', or of x^(n) below order 2."""
+        """Return the equation of the time step with more mass: before x'', or before x^(n) below order 2."""
         return replace(self, tokens=self.tokens.at[min(2, self.order)].add(mass))
 
 
 @jax.tree_util.register_pytree_with_keys_class
 class Effect:
-    """A row of the catalogue (`spec`, static) with its parameters (`theta`, arrays); both are attributes by name."""
+    """A catalogue entry (`spec`, static) with its parameters (`theta`, arrays); both are attributes by name."""
 
     spec: "EffectSpec"
     theta: tuple
@@ -123,7 +123,7 @@ class Effect:
         self.spec, self.theta = spec, tuple(theta)
 
     def __getattr__(self, name: str) -> Any:
-        """Return a parameter by its name, otherwise an attribute of the row."""
+        """Return a parameter of this name, otherwise an attribute of the catalogue entry."""
         # before __init__ ran (copy, pickle), a look-up of `spec` would recurse without end
         if name in ("spec", "theta") or name.startswith("__"):
             raise AttributeError(name)
@@ -135,64 +135,64 @@ class Effect:
         return f"effect({self.name!r}, form={self.form!r}, {numbers})"
 
     def tree_flatten_with_keys(self):
-        """Flatten to leaves by name, so that files and messages can name them."""
+        """Flatten to parameters by name, so that files and messages can name them."""
         return [(GetAttrKey(k), v) for k, v in zip(self.spec.names, self.theta, strict=True)], self.spec
 
     @classmethod
     def tree_unflatten(cls, spec, theta):
-        """Return an effect with other leaves."""
+        """Rebuild an effect from a catalogue entry and parameters."""
         return cls(spec, theta)
 
     @property
     def states(self) -> int:
-        """Return the number of states in its memory."""
+        """Return the number of states in the memory of the effect."""
         return self.spec.kernel.size
 
     @property
     def forces(self) -> bool:
-        """Return whether the effect is a force added to the nominal's."""
+        """Return whether the effect is a force added to the forces of the nominal model."""
         return self.port in ("K", "C", "M", "T")
 
     @property
     def delays(self) -> bool:
-        """Return whether the effect shifts the whole record."""
+        """Return whether the effect is a delay, which shifts the whole record."""
         return self.kernel is DELAY
 
     @property
     def p(self) -> SimpleNamespace:
-        """Return its parameters by name, as laws and kernels use them."""
+        """Return the parameters of the effect by name, as its law and memory use them."""
         return SimpleNamespace(**dict(zip(self.spec.names, self.theta, strict=True)))
 
     def numbers(self) -> list[tuple["Parameter", Array]]:
-        """Return its parameters with their values."""
+        """Return the parameters of the effect, each with its value."""
         return list(zip(self.spec.parameters, self.theta, strict=True))
 
     def times(self, factors) -> "Effect":
-        """Return the effect with each of its parameters times a factor."""
+        """Return the effect with each of its parameters multiplied by a factor."""
         return self.spec(*(v * f for (_, v), f in zip(self.numbers(), factors, strict=True)))
 
     def start(self, w, age=0.0) -> Float[Array, " states"]:
-        """Return the states settled at w, at that age of the session in s."""
+        """Return the memory states after a long constant input w, at this time since the session started (s)."""
         return self.kernel.start(self.p, w, age)
 
     def resumed(self, z, reached) -> Float[Array, " states"]:
-        """Return the states after the session has reached |X| = `reached`."""
+        """Return the memory states after earlier records have reached the displacement |X| = `reached`."""
         return self.kernel.resumed(self.p, z, reached)
 
     def once(self, h) -> Any:
-        """Return the constants of its memory for a step h (s), so that a loop need not recompute them."""
+        """Return the constants of the memory for a time step h (s), so that a loop need not recompute them."""
         return self.kernel.once(self.p, h)
 
     def advance(self, z, before, after, h, once=None) -> Float[Array, " states"]:
-        """Return the states after w moved linearly from `before` to `after` in h seconds; `once`: of this h."""
+        """Return the memory states after the input w has changed linearly from `before` to `after` in h seconds."""
         return self.kernel.advance(self.p, z, before, after, self.once(h) if once is None else once)
 
     def apply(self, w, beside):
-        """Return the port's output for the input w; `beside`: the states (IN, OUT) or the displacement (SQ)."""
+        """Return the output of the effect for the input w; `beside`: the states (IN, OUT) or the displacement (SQ)."""
         return self.spec.law(self.p, w, beside)
 
     def act(self, z, now: Instant, once=None) -> Instant:
-        """Return the frozen equation with the effect's force; `once`: of the step's h."""
+        """Return the equation of the time step with the force of the effect; `once`: the constants for its h."""
         p, spec = self.p, self.spec
         # along a given motion the states are those of the instant; a step's force is evaluated half a step later
         if now.last is None:
@@ -203,13 +203,13 @@ class Effect:
         return now.pulled(spec.law(p, now))
 
     def uncoupled(self, force, x):
-        """Solve for the film's force that gives a force on the structure (SQ)."""
+        """Compute the film's force that gives a wanted force on the structure (SQ)."""
         if self.spec.inverse:
             return self.spec.inverse(self.p, force, x)
         return solve(lambda f: self.apply(f, x), force)
 
     def undo(self, values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-        """Solve for the input that gives these smooth output values, in a record that starts at rest (IN, OUT)."""
+        """Compute the input that gives a smooth output, for a record that starts at rest (ports IN and OUT)."""
         if self.spec.inverse:
             return self.spec.inverse(self.p, values, dt)
         if not self.states:
@@ -225,7 +225,7 @@ class Effect:
         return jnp.append(first, jax.lax.scan(sample, (begun, first), values[1:])[1])
 
     def undo_sample(self, z, before, wanted, dt: float) -> tuple:
-        """Solve for (states, w) one sample later such that the output is `wanted`."""
+        """Compute (states, input w) one sample later such that the output is `wanted`."""
 
         def advanced(w):
             return self.advance(z, before, w, dt)
@@ -237,7 +237,7 @@ class Effect:
         return advanced(w), w
 
     def passes(self, values: Float[Array, " time"], dt: float) -> Array:
-        """Return where some input gives these output values (IN)."""
+        """Return True where some input gives these output values (port IN)."""
         if self.spec.passes:
             return self.spec.passes(self.p, values, dt)
         if self.states:  # a memory delays the output but excludes nothing
@@ -248,7 +248,7 @@ class Effect:
 
 
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
-    """Solve function(w) = wanted element by element by Newton's method, from `begin` (default: `wanted`).
+    """Solve function(w) = wanted for every element by Newton's method, starting at `begin` or at `wanted`.
 
     A step is taken only if it reduces the error: w does not change in a flat part (a clip).
     """

@@ -1,4 +1,4 @@
-"""An unnamed force: products of displacement, velocity and the film's force that no catalogue effect has.
+"""A missing force without a name: products of displacement, velocity and the film's force.
 
     f = c1 x x' + c2 x^2 x' + c3 x' F        F the film's force (V^2 or V)
 

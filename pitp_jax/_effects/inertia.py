@@ -1,4 +1,6 @@
-"""Effects of additional masses and of loads that lose contact (port M); a_2 is the nominal's mass, k its stiffness.
+"""Effects of additional masses, and of loads that lose contact (port M).
+
+a_2 is the mass of the nominal model, k its stiffness.
 
 added_mass    d a_2 x''
 second_mode   f = k kappa (x - z + r (x' - z')),  r = 2 zeta / w,  z'' = w^2 (x - z) + 2 zeta w (x' - z')
@@ -14,7 +16,7 @@ from .spec import EffectSpec, Parameter
 
 
 def _hung(p, now: Instant):
-    """Return the force of a mass whose damper also acts on the body: z = q + r q', q the kernel's oscillator."""
+    """Return the force of an attached mass whose damper also acts on the body: z = q + r q', q the oscillator."""
     r, (q, speed) = 2 * p.zeta / p.omega, now.z
     # q'' by the equation of the oscillator; then z' = q' + r q''
     acceleration = p.omega**2 * (now.x - q - r * speed)
@@ -41,7 +43,7 @@ MASSES = (
 
 
 def _free_fall(p, now: Instant):
-    """Return the push that is missing for x'' >= -g."""
+    """Return the force that is missing to keep the acceleration x'' >= -g."""
     if now.order != 2:
         return 0.0 * now.x
     # the force that keeps x'' at the limit: x'' is linear in the force with the slope 1 / sigma_2
@@ -50,7 +52,7 @@ def _free_fall(p, now: Instant):
 
 
 def _saturated(p, now: Instant):
-    """Return the force that the controller demands beyond the limit."""
+    """Return the part of the controller's force that exceeds the limit."""
     if now.order != 2:
         return 0.0 * now.x
     asked, limit = now.tokens[2] * now.highest, 1 / jnp.maximum(p.inverse, 1e-30)

@@ -1,4 +1,4 @@
-"""The memories of all catalogue forms, with exact time steps where known.
+"""The memories of all effects, with exact time steps where known.
 
     lag          tau z' = w - z                                                            (exact for w linear)
     each way     the same with a time constant up and one down
@@ -31,7 +31,7 @@ def _same(p, z, *others):
 
 @dataclass(frozen=True)
 class Kernel:
-    """A memory of fixed size.
+    """A memory with a fixed number of states.
 
     Attributes:
         size: number of states.
@@ -55,7 +55,7 @@ DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift 
 
 
 def lag(of: Callable = lambda p, w: w) -> Kernel:
-    """Build a lag with the time constant tau, which follows `of` w."""
+    """Build a first-order lag with the time constant tau, whose input is `of` w."""
 
     def once(p, h):  # the smallest number represents no lag, and keeps h / tau finite
         tau = jnp.maximum(p.tau, 1e-9)
@@ -71,7 +71,7 @@ def lag(of: Callable = lambda p, w: w) -> Kernel:
 
 
 def lag_each_way() -> Kernel:
-    """Build a lag with one time constant, `up`, where |w| exceeds |z|, and another, `down`, where it does not."""
+    """Build a lag with the time constant `up` where |w| exceeds |z|, and `down` where it does not."""
 
     def once(p, h):
         return [lag_weights(jnp.maximum(tau, 1e-9), h) for tau in (p.up, p.down)]
@@ -85,12 +85,12 @@ def lag_each_way() -> Kernel:
 
 
 def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:
-    """Return the input of a lag for smooth output values: v + tau v'."""
+    """Compute the input of a first-order lag from its smooth output v: v + tau v'."""
     return values + tau * slope(values, dt)
 
 
 def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
-    """Build the memory (z, z' in 1/s) of a mass moved through a spring, at rest at w initially."""
+    """Build the memory (z, z' in 1/s) of a mass that is moved through a spring, initially at rest at w."""
 
     def advance(p, z, before, after, h):
         w = frequency(p)
@@ -105,7 +105,7 @@ def oscillator(frequency: Callable = lambda p: p.omega) -> Kernel:
 
 
 def play(*ratios: float) -> Kernel:
-    """Build plays of the half widths ratio * width, in their middle initially."""
+    """Build backlash elements (plays) of the half widths ratio * width, initially in their middle."""
 
     def inside(p, z, w):
         r = p.width * jnp.asarray(ratios, jnp.result_type(p.width))
@@ -120,7 +120,7 @@ def play(*ratios: float) -> Kernel:
 
 
 def coasting() -> Kernel:
-    """Build a play of half the width whose follower coasts until either end catches it: states (z, z')."""
+    """Build a play whose follower coasts until either end catches it, with the states (z, z')."""
 
     def once(p, h):
         slowed = jnp.exp(-p.rate * h)
@@ -136,7 +136,7 @@ def coasting() -> Kernel:
 
 
 def _travelled(advance: Callable) -> Kernel:
-    """Build a relaxed initial state that depends on the distance alone, not on its duration."""
+    """Build a memory whose state depends on the travelled distance alone, initially zero."""
 
     def ahead(p, z, now):  # the distance to half a step later, at the velocity of the step; unknown at order 1
         way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
@@ -146,7 +146,7 @@ def _travelled(advance: Callable) -> Kernel:
 
 
 def dahl(width: str = "width") -> Kernel:
-    """Build a state that saturates at the yield displacement r, the parameter of that name."""
+    """Build Dahl's hysteresis state, which saturates at a displacement; `width`: name of this parameter."""
 
     def advance(p, z, before, after, h):
         r = getattr(p, width)
@@ -158,7 +158,7 @@ def dahl(width: str = "width") -> Kernel:
 
 
 def dahl_of_integral() -> Kernel:
-    """Build a state between -1 and 1 that follows the integral of its input, and saturates over a `width` of it."""
+    """Build a Dahl state of the input's integral, between -1 and 1, that saturates over the parameter `width`."""
 
     def advance(p, z, before, after, h):
         way = h / 2 * (before + after)  # exact while the input keeps its sign
@@ -169,7 +169,7 @@ def dahl_of_integral() -> Kernel:
 
 
 def bouc_wen() -> Kernel:
-    """Build a state with growth resisted by |z| / width: times gamma + 1 on loading, gamma - 1 on unloading."""
+    """Build a Bouc-Wen state: |z| / width slows it, times gamma + 1 on loading and gamma - 1 on unloading."""
 
     def advance(p, z, before, after, h):
         way = after - before
@@ -200,7 +200,7 @@ CLOCK = Kernel(
 
 
 def slew() -> Kernel:
-    """Build a state that follows its input, no faster than 1 / inverse."""
+    """Build a state that follows its input with a limited rate of 1 / inverse."""
 
     def advance(p, z, before, after, h):
         most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
@@ -210,7 +210,7 @@ def slew() -> Kernel:
 
 
 def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:
-    """Return a series delayed by a number of samples, linear between them; `before` precedes the first one."""
+    """Delay a series by a number of samples, linearly between them; `before` precedes the first value."""
     # by index and weight instead of interp, because a fitted delay needs the slope of the line between samples
     at = jnp.arange(values.shape[0]) - samples
     index = jnp.floor(at)
@@ -222,12 +222,12 @@ def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " ti
 
 
 def advanced(values: Float[Array, " time"], samples) -> Float[Array, " time"]:
-    """Return a series advanced by a number of samples, as the input of a delay. The last value is repeated."""
+    """Advance a series by a number of samples, to compensate for a delay. The last value is repeated."""
     # interp suffices here: no fit differentiates an inverse, and it repeats the last value beyond the end
     place = jnp.arange(values.shape[0], dtype=values.dtype)
     return jnp.interp(place + samples, place, values)
 
 
 def total_delay(effects: Sequence) -> float:
-    """Return the sum of a model's delays, s."""
+    """Return the sum of the delays in a list of effects, s."""
     return sum(float(e.time) for e in effects if e.spec.kernel is DELAY)

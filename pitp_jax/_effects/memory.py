@@ -1,4 +1,6 @@
-"""Forces with memory (port K) and springs that change over a session (port T), k = sigma_0 of the nominal.
+"""Forces with memory: creep and hysteresis (port K), and springs that change over a session (port T).
+
+k = sigma_0 is the stiffness of the nominal model.
 
 creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega_0 > 15, relaxation below
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
@@ -22,12 +24,12 @@ _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
 def _by_time(p, k, plant):
-    """Report a memory as creep if it is slow compared with the plant."""
+    """Name a memory "creep" if it is slow compared with the plant, otherwise "relaxation"."""
     return "creep" if p.tau > _SLOW * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
 
 
 def _by_give(p, k, plant):
-    """Report a hysteresis loop as dry friction with bristles if it yields little before it slides."""
+    """Name a hysteresis loop dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)

@@ -1,4 +1,4 @@
-"""Effects of the sensor on the reading (port OUT): x to the reading y.
+"""Effects of the sensor: from the displacement x to the sensor's reading y (port OUT).
 
 sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
 sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
@@ -28,7 +28,7 @@ def _second_order(p, y, dt):
 
 
 def _across(p, y, dt):
-    """Return x = y + w/2 sgn(y'): across the play at every reversal, no faster than a smooth motion can."""
+    """Compute x = y + w/2 sgn(y') from the reading: the play is crossed at every reversal of a smooth motion."""
     # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample
     least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)

@@ -1,4 +1,4 @@
-"""Rows of the catalogue: the name of an effect, its port, its parameters, its law and its memory.
+"""Entries of the catalogue: the name of an effect, its port, its parameters, its law and its memory.
 
     sum_i sigma_i x^(i) + sigma_off + f(x, x', z) = coupling(V, x),    V = drive(u),    y = sensor(x)
 
@@ -21,7 +21,7 @@ from .kernels import NOTHING, Kernel
 
 @dataclass(frozen=True)
 class Parameter:
-    """One parameter of an effect.
+    """One parameter of an effect: its name, its unit, and how it is fitted.
 
     Attributes:
         name: its key in the law.
@@ -55,7 +55,7 @@ class Parameter:
 
 @dataclass(frozen=True)
 class EffectSpec:
-    """One form of one effect, as data; two rows are equal if name, form and parameters are.
+    """One form of an effect, as data; two entries are equal if name, form and parameters are equal.
 
     Attributes:
         name: the effect, as a diagnosis prints it; form: one of its laws.
@@ -115,26 +115,26 @@ class EffectSpec:
 
     @property
     def key(self) -> str:
-        """Return the effect's name in files and tables: name, then form."""
+        """Return the effect's key in files and tables: its name, then its form."""
         return f"{self.name}: {self.form}"
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Return the names of its parameters."""
+        """Return the names of the effect's parameters."""
         return tuple(p.name for p in self.parameters)
 
     @property
     def off(self) -> tuple[float, ...]:
-        """Return the parameters for which the effect vanishes."""
+        """Return the parameter values with which the effect has no influence."""
         return tuple(1.0 if p.off is None else p.off for p in self.parameters)  # 1: any width or time, with strength 0
 
     def __call__(self, *values) -> Effect:
-        """Return the effect with these parameters, in the order of `parameters`."""
+        """Build the effect with these values, in the order of `parameters`."""
         if len(values) != len(self.parameters):
             raise TypeError(f"{self.key} has {len(self.parameters)} parameters, not {len(values)}")
         # an array keeps its precision, a plain number gets that of training and rollout
         return Effect(self, tuple(v if isinstance(v, jax.Array) else jnp.asarray(v, jnp.float32) for v in values))
 
     def neutral(self) -> Effect:
-        """Return the effect with no influence."""
+        """Build the effect with parameters for which it has no influence."""
         return self(*self.off)

@@ -1,4 +1,6 @@
-"""Nonlinear springs (port K), k = sigma_0 of the nominal; forces f added to k x.
+"""Nonlinear springs (port K): forces in addition to the linear spring force of the nominal model.
+
+k = sigma_0 is the stiffness of the nominal model; each force f is added to k x.
 
 stiffening  k c x^3,   k x (1/(1 - (x/L)^2) - 1),   k (c2 x^2 + c3 x^3 + c5 x^5)
 softening   -k c x^2,  k (L tanh(x/L) - x),   k ((1 - exp(-b x))/b - x),   k (L sin(x/L) - x),
@@ -37,7 +39,7 @@ def _quadratic(p, now):
 
 
 def _ratio(r, of, series):
-    """Return of(r) / r - 1, by its series near zero."""
+    """Compute of(r) / r - 1, by the given series for small r."""
     small = jnp.abs(r) < _SMALL
     return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r) - 1)
 
@@ -64,7 +66,7 @@ def _root(p, now):
 
 
 def _by_tangent(p, k, plant):
-    """Report a polynomial by its tangent from rest to the ends of the motion, the farther end first.
+    """Name a polynomial spring by its tangents at the ends of the motion: stiffening or softening.
 
     For a motion to one side, the mean of the tangents of c2 x^2 at its ends equals that at its middle, for either sign.
     """
@@ -74,7 +76,7 @@ def _by_tangent(p, k, plant):
 
 
 def _polynomial(name: str, title: str) -> EffectSpec:
-    """Build a row of a spring whose terms may have either sign."""
+    """Build the catalogue entry of a polynomial spring whose terms may have either sign."""
     return EffectSpec(
         name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)", "stiffness", "K",
         reported=_by_tangent, law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
@@ -82,7 +84,7 @@ def _polynomial(name: str, title: str) -> EffectSpec:
 
 
 def _pushed(p, now, depth, sign):
-    """Compute depth and damping of a contact, which pushes and never pulls."""
+    """Compute penetration plus damping of an end stop, which pushes and never pulls."""
     return jnp.where(depth > 0, jnp.maximum(depth + sign * p.tau * now.rates[0] * now.v, 0.0), 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Export: writes a model and its inverse as C99, as an FMU and as MATLAB functions.
+"""Export a model and its inverse as C99, as an FMU and as MATLAB functions.
 
     make_jaxpr(one step, with the model's numbers) -> scalar expressions -> text; templates around it
 

@@ -1,4 +1,4 @@
-"""Write C99: one header, one source, a test vector, a Makefile, a loop and a README on their use.
+"""Write a model and its inverse as C99: header, source, test vector, Makefile, example loop and README.
 
 init(state, y0, u0)     predict_step(state, u) -> y     inverse_step(state, [y, y', ..., y^(n)]) -> u, flags
                         pi_step(state, [y, ..., y^(n)], measured), pi_target_step(state, y, measured) -> u, flags
@@ -56,7 +56,7 @@ def export_c(
 
 
 def write_sources(plan: Plan, folder: Path) -> None:
-    """Write `pitp_<name>.h` and `pitp_<name>.c`."""
+    """Write the C sources `pitp_<name>.h` and `pitp_<name>.c` into a folder."""
     values = substitutions(plan)
     (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
     writer = Writer("c", plan.single)
@@ -81,7 +81,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
-    """Write the files around the sources: test vector, Makefile, loop, README."""
+    """Write the files beside the C sources: test vector, Makefile, example loop and README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
     square, told = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
     values |= {
@@ -101,7 +101,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 
 
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
-    """Return the values for the README and the check of any language, as text."""
+    """Return the values that README and check of any language contain, as text."""
     test, precision = plan.test, "single" if plan.single else "double"
     full = max(float(np.ptp(test.displacement)), plan.stroke)
     # a reading far from zero is rounded, in float by more than the bound
@@ -119,7 +119,7 @@ def frame(plan: Plan, cost: float | None) -> dict[str, str]:
 
 
 def substitutions(plan: Plan) -> dict[str, str]:
-    """Return the values for the header, as text."""
+    """Return the values that the C header contains, as text."""
     writer, model, units = Writer("c", plan.single), plan.model, plan.units
     per, stiffness = units.coefficient(0)
     low, high, slew = plan.voltages
@@ -148,7 +148,7 @@ def substitutions(plan: Plan) -> dict[str, str]:
 
 
 def _meaning(plan: Plan) -> str:
-    """Return the meaning of a displacement, in the words of headers and pages."""
+    """Describe the origin and the direction of a displacement, in the words of headers and pages."""
     units, line = plan.units, f"0 at 0 {plan.units.input.unit}"
     if units.squared:
         return f"{line}, growing as the actuator extends whatever the sensor's direction"
@@ -156,7 +156,7 @@ def _meaning(plan: Plan) -> str:
 
 
 def loop_text(gains: PIGains) -> str:
-    """Return the closed loop in one line."""
+    """Describe the closed loop of the PI controller in one line."""
     if np.isinf(gains.time_constant):
         return "no controller, feedforward only"
     margins = f"gain margin {gains.gain_margin:.3g}, maximum sensitivity {gains.max_sensitivity:.3g}"
@@ -164,7 +164,7 @@ def loop_text(gains: PIGains) -> str:
 
 
 def sizes(plan: Plan) -> dict[str, str]:
-    """Estimate the load of a controller: RAM and constants in bytes, operations of a call."""
+    """Estimate the load on a controller: RAM and constants (bytes), and operations per call."""
     width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
     reals = plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 8
     predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
@@ -181,7 +181,7 @@ def sizes(plan: Plan) -> dict[str, str]:
 
 
 def table(writer: Writer, values: np.ndarray) -> str:
-    """Return the initialisers of an array as text, six numbers per line."""
+    """Write the initialisers of an array as text, six numbers per line."""
     values = np.asarray(values, np.float64)
     if values.ndim > 1:
         return ",\n".join("    {" + table(writer, row).strip() + "}" for row in values)
@@ -190,7 +190,7 @@ def table(writer: Writer, values: np.ndarray) -> str:
 
 
 def filled(template: str, values: dict[str, str]) -> str:
-    """Return a template with every @key@ replaced."""
+    """Read a template and replace every @key@ by its value."""
     text = (TEMPLATES / template).read_text(encoding="utf-8")
     for key, value in values.items():
         text = text.replace(f"@{key}@", value)

@@ -1,4 +1,4 @@
-"""Differentiate the target of an exported step by a weighted window around the sample.
+"""Differentiate the target of exported code by a weighted window of samples.
 
     y^(i)(t) = sum_k W_ik m_k,   m_k = mean of the k-th block of samples          26 blocks of B samples
 
@@ -26,7 +26,7 @@ _LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples to a block
 
 @dataclass(frozen=True)
 class Differentiator:
-    """The weights of a window for differentiation.
+    """A window of samples with the weights of their derivatives.
 
     Attributes:
         order: highest derivative.
@@ -44,17 +44,17 @@ class Differentiator:
 
     @property
     def look_ahead(self) -> int:
-        """Return the number of samples by which a target must be given early."""
+        """Return the number of samples by which the target must be known in advance."""
         return HALF * self.block + self.block // 2 + int(np.ceil(self.late / self.dt))
 
     @property
     def place(self) -> float:
-        """Return the place where the derivative is taken, in samples from the newest."""
+        """Return the time of the derivative, in samples relative to the newest sample."""
         return self.late / self.dt - self.look_ahead
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Return rows for the derivatives 0 ... order and for the next sample, shape (order + 2, BLOCKS)."""
+        """Return the weights for derivatives 0 ... order and for the next sample, shape (order + 2, BLOCKS)."""
         degree = self.degree or 2 * ((self.order + 3) // 2) + 1
         fitted = self._fitted(degree)
         if self.degree:
@@ -82,7 +82,10 @@ class Differentiator:
         return np.stack([*rows, legendre.legval(scaled(1.0), np.eye(degree + 1)) @ to_coefficients])
 
     def error(self, a: np.ndarray, omega: float, rounding: float) -> float:
-        """Compute the force's error over a_0, for a cosine of half-swing 1 at omega (rad/s), samples rounded."""
+        """Compute the relative error of the force for a cosine target of amplitude 1 at omega (rad/s).
+
+        It is the error over a_0, with samples rounded by the standard deviation `rounding`.
+        """
         samples = (np.arange(BLOCKS) - BLOCKS + 1)[:, None] * self.block - np.arange(self.block)
         seen = np.exp(1j * omega * self.dt * samples).mean(1)
         exact = np.exp(1j * omega * self.dt * self.place) * (1j * omega) ** np.arange(self.order + 1)
@@ -94,7 +97,7 @@ class Differentiator:
 def differentiator(
     a: np.ndarray, dt: float, omega: float, rounding: float, late: float
 ) -> tuple[Differentiator, float]:
-    """Return the shortest window within 0.2 % of the force, otherwise the best one, and its error.
+    """Return the shortest window with at most 0.2 % error of the force (otherwise the best one), and its error.
 
     Args:
         a: nominal coefficients a_0 ... a_n.

@@ -1,4 +1,4 @@
-"""Find equilibria of the trained stroke: displacements that a voltage within the model's range can hold.
+"""Find equilibria within the trained stroke: displacements that an allowed voltage can hold.
 
     N(x) = force that holds the actuator at x (memories and effects settled),   map(film(u)) = N(x),   low <= u <= high
 
@@ -23,7 +23,7 @@ _DOUBLINGS = 100  # of the voltage, if a model has no range
 
 @dataclass(frozen=True)
 class Equilibrium:
-    """An equilibrium: displacement (m, model coordinates), voltage (V), stiffness dF/dx."""
+    """An equilibrium: displacement (m, model coordinates), voltage (V), and stiffness dF/dx (V^2/m or V/m)."""
 
     displacement: float
     voltage: float
@@ -31,12 +31,12 @@ class Equilibrium:
 
 
 def stroke(model: Model) -> float:
-    """Return the largest displacement of the training (m), otherwise the static one at its largest voltage."""
+    """Return the largest trained displacement (m); for an untrained model the static one at its largest voltage."""
     return max(map(abs, _ends(model)))
 
 
 def _ends(model: Model) -> tuple[float, float]:
-    """Return the lowest and the highest displacement of the training, m."""
+    """Return the lowest and the highest displacement of the training records, m."""
     if len(model.domain.region):
         low, high = np.array(model.domain.region[0]) * model.scales.state[0]
         return float(min(low, 0.0)), float(max(high, 0.0))
@@ -47,7 +47,7 @@ def _ends(model: Model) -> tuple[float, float]:
 
 
 def equilibria(model: Model) -> list[Equilibrium]:
-    """Find the equilibria at several levels of the stroke.
+    """Find the equilibria at several fractions of the stroke.
 
     Args:
         model: in float64, without delays.
@@ -81,7 +81,7 @@ def equilibria(model: Model) -> list[Equilibrium]:
 
 
 def holding_force(model: Model, x):
-    """Compute the force of the film (V^2 or V) that holds a settled actuator at x (m, model coordinates)."""
+    """Compute the force in input units (V^2 or V) that holds the actuator at x (m, model coordinates)."""
     scaled = x / model.scales.state[0]
     row = jnp.zeros(model.order + 1).at[0].set(scaled)
     states = ports.split(model, ports.initial(model, scaled, jnp.zeros(()), 0.0))
@@ -90,7 +90,7 @@ def holding_force(model: Model, x):
 
 
 def _reached(holding, end: float, limit: float) -> float:
-    """Return how far towards `end` a force within the range can hold the actuator, m."""
+    """Return the displacement up to `end` (m) that a force below `limit` can hold."""
     low, high = 0.0, end
     for _ in range(_SECTIONS):
         x = np.linspace(low, high, _SCANNED)
@@ -102,7 +102,7 @@ def _reached(holding, end: float, limit: float) -> float:
 
 
 def _voltages(model: Model) -> tuple[float, float]:
-    """Return the range of the model's voltage (V), or a sufficient one if it has none."""
+    """Return the voltage range of the model (V); if it has none, a range that reaches twice its unit of force."""
     low, high = map(float, model.domain.voltage_range)
     if model.input_map.one_sided:
         low, high = 0.0, max(high, -low)
@@ -118,7 +118,7 @@ def _voltages(model: Model) -> tuple[float, float]:
 
 
 def _force(model: Model, u: float) -> float:
-    """Compute the film's settled force (V^2 or V) under a constant voltage."""
+    """Compute the drive term (V^2 or V) after a long time at the constant voltage u."""
     film = jnp.asarray(u)
     for effect in ports.drives(model):
         film = effect.apply(film, effect.start(film))
@@ -126,7 +126,7 @@ def _force(model: Model, u: float) -> float:
 
 
 def _bracketed(model: Model, force: float, low: float, high: float) -> float | None:
-    """Return the voltage within the range that gives a force; None if there is none."""
+    """Return the voltage within the range that gives a drive term (V^2 or V); None if there is none."""
 
     def missing(u):
         return _force(model, u) - force

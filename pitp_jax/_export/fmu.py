@@ -1,4 +1,4 @@
-"""Write an FMU: the C sources with the Functional Mock-up Interface 2.0 or 3.0, for co-simulation in fixed steps.
+"""Write an FMU (Functional Mock-up Interface 2.0 or 3.0) for co-simulation in fixed steps.
 
     voltage, held from t to t + DT   ->  displacement(t + DT)
     target, target_1, ... target_n   ->  command, flags            (`inverse_step`)
@@ -54,7 +54,7 @@ def export_fmu(
     model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None,
     precision: str = "double", fmi: int = 2,
 ) -> float | None:  # fmt: skip
-    """Write `pitp_<name>.fmu` into a folder: sources, and a binary on Linux with a C compiler.
+    """Write `pitp_<name>.fmu` into a new folder: C sources, and a binary on Linux with a C compiler.
 
     Args:
         model: as for `export_c`; folder, name, rate and precision likewise.
@@ -126,7 +126,7 @@ def _values(plan: Plan, fmi: int) -> dict[str, str]:
 
 
 def _base(quantity: Quantity, times: int = 0) -> str:
-    """Return the base unit of a quantity's derivative of some order, as attributes of a model description."""
+    """Return the base unit of a quantity's time derivative (order `times`), as attributes of a model description."""
     powers = dict(_BASES.get(kind_of(quantity.unit) or "", {}))
     powers["s"] = powers.get("s", 0) - times
     words = [f'{unit}="{power}"' for unit, power in powers.items() if power]
@@ -134,7 +134,7 @@ def _base(quantity: Quantity, times: int = 0) -> str:
 
 
 def _build(inside: Path, name: str, fmi: int) -> None:
-    """Compile the Linux binary if possible on this machine; other systems compile the sources on import."""
+    """Compile the Linux binary if this machine can; other systems compile the sources on import."""
     compiler = which("cc") or which("gcc") or which("clang")
     if not sys.platform.startswith("linux") or compiler is None or sys.maxsize < 2**32:
         return
@@ -146,7 +146,7 @@ def _build(inside: Path, name: str, fmi: int) -> None:
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """Write the test vector as cross-check files (inputs, outputs, options), a README and the check."""
+    """Write the test vector as FMI cross-check files, a README, and a script that checks the FMU."""
     test, name = plan.test, values["id"]
     time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided

@@ -1,4 +1,4 @@
-"""Convert a JAX program into scalar expressions, with one rule for each primitive.
+"""Convert a JAX program to scalar expressions, with one rule for each primitive operation.
 
     make_jaxpr(step)(state, input)  ->  one `Program`: numbers of the model folded in, no arrays left
 
@@ -24,7 +24,7 @@ _SAME = ("stop_gradient", "copy", "copy_p", "reduce_precision", "optimization_ba
 
 
 def program(function: Callable, *examples) -> Program:
-    """Return the scalar program of fn(*examples) -> a tree of arrays; inputs and outputs are leaves, flattened."""
+    """Convert fn(*examples) to a scalar program; its inputs and outputs are all array elements in sequence."""
     closed = jax.make_jaxpr(function)(*examples)
     make, shapes = Builder(), [v.aval.shape for v in closed.jaxpr.invars]
     inputs = sum(int(np.prod(s)) for s in shapes)
@@ -33,7 +33,7 @@ def program(function: Callable, *examples) -> Program:
 
 
 def _cut(values: Sequence, shapes) -> list[np.ndarray]:
-    """Cut scalars in a row into arrays of these shapes."""
+    """Cut a sequence of scalars into arrays of these shapes."""
     ends = np.cumsum([0, *(int(np.prod(s)) for s in shapes)])
     return [_array(values[a:b], s) for a, b, s in zip(ends, ends[1:], shapes, strict=False)]
 
@@ -45,13 +45,13 @@ def _array(values: Sequence, shape) -> np.ndarray:
 
 
 def _known(value) -> np.ndarray:
-    """Return an array of Python numbers."""
+    """Convert an array to Python numbers, which are folded into the program."""
     value = np.asarray(value)
     return _array(value.ravel().tolist(), value.shape)
 
 
 def _run(make: Builder, jaxpr: Jaxpr, consts: Sequence, args: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Evaluate a jaxpr for arrays of scalars."""
+    """Evaluate a JAX program (jaxpr) on arrays of scalar expressions."""
     values: dict[Any, np.ndarray] = dict(zip(jaxpr.constvars, map(_as_array, consts), strict=True))
     values.update(zip(jaxpr.invars, args, strict=True))
 
@@ -92,7 +92,7 @@ def _each(function: Callable, args: Sequence[np.ndarray]) -> np.ndarray:
 
 
 def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
-    """Apply a primitive that only moves elements to their indices; return the origin of each output's elements."""
+    """Apply a primitive that only moves elements, by moving their indices."""
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
         return [args[0].reshape(equation.outvars[0].aval.shape)]
@@ -122,7 +122,7 @@ _MOVES = {
 
 
 def _number(array: np.ndarray, equation) -> jax.Array:
-    """Return an array of scalars as integer indices; refuse it if they are not known when the code is written."""
+    """Convert an array of scalars to integer indices; refuse indices that are computed at run time."""
     # otherwise the step would need an array in memory and a check of its bounds
     if any(isinstance(a, Node) for a in array.ravel()):
         raise BadInput(
@@ -173,7 +173,7 @@ def _one_of(make, which, cases):
 
 
 def _branches(make, params, args, equation):
-    """Write all branches, and select one; they have no side effects."""
+    """Evaluate all branches and select one result; this is allowed, because branches have no side effects."""
     branches = [_run(make, *_opened(b), args[1:]) for b in params["branches"]]
     which = args[0].item()
     if not isinstance(which, Node):
@@ -223,7 +223,7 @@ def _product(make, params, args, equation):
 
 
 def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Multiply; by a loop over a table if the product is large, one factor known and the other a vector."""
+    """Multiply matrices; a large product of known weights and a vector becomes a loop over a table."""
     if left.size * right.shape[1] > _WRITTEN_OUT:
         if right.shape[1] == 1 and not _unknown(left):
             return _array(_table(make, left, right[:, 0]), (len(left), 1))
@@ -245,7 +245,7 @@ def _table(make: Builder, weights: np.ndarray, vector: np.ndarray) -> list[Node]
 
 
 def _scattered(make, params, args, equation):
-    """Scatter elements to known places; refuse several elements at one place."""
+    """Scatter elements to known indices; refuse several elements at one index."""
     target, where, update = args
     kind, indices = equation.outvars[0].aval.dtype, _number(where, equation)
 
@@ -269,7 +269,7 @@ def _count(make, params, args, equation):
 
 
 def _scanned(make, params, args, equation):
-    """Write a scan out, or as a loop if it is long and returns only its last carry."""
+    """Write a scan out step by step, or as a loop if it is long and returns only its last carry."""
     jaxpr, consts = _opened(params["jaxpr"])
     length = params["length"]
     fixed, carried = _scan_sizes(jaxpr, equation)
@@ -287,7 +287,7 @@ def _scanned(make, params, args, equation):
 
 
 def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
-    """Return how many inputs of a scan are constants, and how many are its carry.
+    """Return the number of constant inputs and of carry arrays of a scan.
 
     JAX stores these numbers under names that change from release to release, but the shapes show them: scanned or
     stacked arrays have one more axis outside the body than inside.
@@ -301,7 +301,7 @@ def _scan_sizes(body: Jaxpr, scan) -> tuple[int, int]:
 
 
 def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, length: int):
-    """Write the loop as one node; return None if it is not shorter than written out."""
+    """Build a scan as one loop node; return None if that is not shorter than writing it out."""
     # known numbers are folded into the body, the others are passed beside the carry
     inner, loose = Builder(), [k for k in known if _unknown(k)]
     shapes = [a.shape for a in (*loose, *carry)] + [r.shape[1:] for r in rows]
@@ -321,7 +321,7 @@ def _loop(make: Builder, opened: tuple[Jaxpr, Sequence], known, carry, rows, len
 
 
 def _repeated(make, params, args, equation):
-    """Write out a loop with a known test at every turn (a counter); refuse one that depends on a value."""
+    """Write out a while loop with a counter; refuse a loop whose length depends on a computed value."""
     tests, bodies = params["cond_nconsts"], params["body_nconsts"]
     first, second, carry = args[:tests], args[tests : tests + bodies], args[tests + bodies :]
     while True:
@@ -337,7 +337,7 @@ def _repeated(make, params, args, equation):
 
 
 def _convolved(make, params, args, equation):
-    """Convolve in one dimension: products of polynomials."""
+    """Convolve two series in one dimension, as in a product of polynomials."""
     (low, high), left, right = params["padding"][0], list(args[0].ravel()), args[1].ravel()
     padded = [0.0] * low + left + [0.0] * high
     sums = [

@@ -1,4 +1,4 @@
-"""Write MATLAB: one function file for each direction and one that checks them; no toolboxes; runs in GNU Octave.
+"""Write a model and its inverse as MATLAB functions without toolboxes, which also run in GNU Octave.
 
 [y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
 """
@@ -43,7 +43,7 @@ def export_matlab(
 
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
-    """Write a README, and a function that runs the test vector."""
+    """Write a README, and a MATLAB function that checks the functions with the test vector."""
     test, square = plan.test, plan.model.input_map.one_sided
     told = slice(test.every - 1, None, test.every)
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
@@ -55,7 +55,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
 
 
 def functions(written: Written, outputs: int) -> str:
-    """Return the text of `start` and `step`, and the bodies of their loops."""
+    """Write the MATLAB functions `start` and `step`, and the bodies of their loops, as text."""
     # local functions of the file: MATLAB exposes only the first one
     writer, text = Writer("matlab"), ""
     for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):

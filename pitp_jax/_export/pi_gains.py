@@ -1,4 +1,4 @@
-"""Tune a PI controller on the force, from the model and the closed-loop time constant (IMC).
+"""Tune a PI controller that acts on the force, from the model and a closed-loop time constant (IMC).
 
     F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I,   e = wanted - measured (model coordinates)
     loop and margins: `_invert.loop`, with G = dx/dF of the sampled decoder with its effects, the input held
@@ -35,7 +35,7 @@ _ALONE = "; --time-constant inf exports the feedforward without a controller"
 
 @dataclass(frozen=True)
 class PIGains:
-    """The gains of a PI controller on the force, with the robustness of its loop.
+    """The gains of a PI controller that acts on the force, with the robustness of the closed loop.
 
     Attributes:
         p: V^2 / m (V / m for a linear input), in the model's direction.
@@ -53,7 +53,7 @@ class PIGains:
 
 
 def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: float | None = None) -> PIGains:
-    """Tune a PI controller on the force from a model.
+    """Compute the gains of a PI controller that acts on the force (V^2/m or V/m), from a model.
 
     Args:
         model: identified or trained, with any effects.
@@ -94,7 +94,7 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
 
 
 def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
-    """Return fn(time constant), which gives the gains and their margins without a check.
+    """Return a function that computes the gains and margins for a closed-loop time constant (s).
 
     Raises:
         BadInput: no margin can be computed.
@@ -113,14 +113,14 @@ def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
 
 
 def _slowest(a: np.ndarray) -> float:
-    """Compute 2 / (zeta w_0) of the slowest resonance, s; of the slowest pole if there is none."""
+    """Return 2 / (zeta w_0) of the slowest resonance (s); without a resonance, 2 / |p| of the slowest pole p."""
     poles = np.roots(a[::-1])
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
     return float(2 / np.abs((pairs if len(pairs) else poles).real).min())
 
 
 def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
-    """Find the shortest time constant, down from `first` or up from it, within a maximum sensitivity.
+    """Find the shortest closed-loop time constant within a maximum sensitivity, starting at `first` (s).
 
     Raises:
         BadInput: none exists.
@@ -142,13 +142,13 @@ def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
 
 
 def _rounded_up(seconds: float) -> float:
-    """Round up to two digits, so that a proposed time constant is accepted."""
+    """Round a time up to two digits, so that the proposed time constant is accepted."""
     unit = 10 ** (np.floor(np.log10(seconds)) - 1)
     return float(f"{np.ceil(seconds / unit * (1 - 1e-9)) * unit:.2g}")
 
 
 def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]:
-    """Linearise about the equilibria of the trained stroke, each with its stiffness dF/dx.
+    """Linearise the model about the equilibria of its stroke; return each with its stiffness dF/dx.
 
     Raises:
         BadInput: no equilibrium exists, or the model has no derivatives at one.

@@ -1,4 +1,4 @@
-"""Prepare an export: the model in float64 at a rate, its programs, limits, look-ahead and a test vector.
+"""Prepare an export: the model in float64 at a sampling rate, its programs, limits and a test vector.
 
 Every language writes the same `Plan`. The test vector is the beginning of the longest identification record. If the
 model has none, or that beginning covers less than a quarter of the stroke, it is a sum of sines over the voltage range.
@@ -47,7 +47,7 @@ _PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "singl
 
 @dataclass(frozen=True)
 class Written:
-    """One step as a program, and its initial state fn(y0, u0) -> state."""
+    """A one-sample step as a scalar program, and the program of its initial state, fn(y0, u0) -> state."""
 
     run: Program
     start: Program
@@ -78,36 +78,39 @@ class Plan:
 
     @property
     def units(self) -> Units:
-        """Return the units of the export: V and m, or those of the model's records."""
+        """Return the units of the exported code: V and m, or those of the model's records."""
         return units_of(Fitted(self.model, self.origin))
 
     def predict_step(self, *, held: bool = False) -> steps.Step:
-        """Build the decoder's step in the exported units."""
+        """Build the step from a voltage to the displacement one sample later, in the exported units."""
         return steps.in_units(steps.predict(self.model, self.dt, held=held), self.units, inverse=False)
 
     @property
     def inverse_step(self) -> steps.Step:
-        """Build the step of eq. 13 in the exported units."""
+        """Build the step of the inverse model (voltage for a wanted motion, eq. 13), in the exported units."""
         return steps.in_units(steps.inverse(self.model, self.dt), self.units, inverse=True)
 
     @cached_property
     def predict(self) -> Written:
-        """Return the decoder's step as a program."""
+        """Return the step from a voltage to the displacement as a scalar program."""
         return _written(self.predict_step(held=self.held))
 
     @cached_property
     def inverse(self) -> Written:
-        """Return the step of eq. 13 as a program; outputs: the voltage, and whether it is infeasible."""
+        """Return the inverse step (voltage for a wanted motion) as a scalar program.
+
+        Its outputs are the voltage, and whether no voltage gives this motion.
+        """
         return _written(self.inverse_step)
 
     @property
     def late(self) -> float:
-        """Return the total delay of the input, s."""
+        """Return the total delay of the model's input, s."""
         return total_delay(self.model.effects)
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Return lowest and highest input and its slew over the training records, in the exported units."""
+        """Return the lowest and highest voltage and the slew of the training records, in the exported units."""
         low, high = map(self.units.input.shown, self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
@@ -116,7 +119,7 @@ class Plan:
 
     @property
     def displacements(self) -> tuple[float, float]:
-        """Return the trained range of displacement, a twentieth wider, in the exported unit; without one, no limit."""
+        """Return the trained range of displacement, widened by 5 % on each side; without one, no limit."""
         if not len(self.model.domain.region):
             return -_NONE, _NONE
         low, high = self.model.domain.region[0]
@@ -127,17 +130,17 @@ class Plan:
 
     @property
     def stroke(self) -> float:
-        """Return the largest displacement of the training, in the exported unit."""
+        """Return the largest displacement of the training records, in the exported unit."""
         return float(self.units.si.shown(stroke(self.model)))
 
     @property
     def silent(self) -> int:
-        """Return the number of calls without a target before the ramp."""
+        """Return the number of calls without a target after which the voltage ramps to 0 V."""
         return max(int(np.ceil(_SILENT / self.dt)), 1)
 
     @cached_property
     def differentiator(self) -> Differentiator:
-        """Return the weights by which a target is differentiated.
+        """Return the window of weights by which the exported code differentiates a target.
 
         Raises:
             BadInput: single precision is too coarse for it.
@@ -159,16 +162,16 @@ class Plan:
 
     @cached_property
     def gains(self) -> PIGains:
-        """Return the gains of the PI steps."""
+        """Return the gains of the exported PI controller."""
         return pi_gains(self.model, self.dt, self.time_constant)
 
     @property
     def reference_time(self) -> float:
-        """Return the time constant T of the lags that follow a target without derivatives, s."""
+        """Return the time constant T of the lags that smooth a target without derivatives, s."""
         return max(1 / self.model.natural_frequency, self.dt)
 
     def reference(self) -> np.ndarray:
-        """Return the change of [r, T r', ..., T^n r^(n)] over a call, for [target - r, T r', ...] at its start.
+        """Return the matrix that advances the smoothed target [r, T r', ..., T^n r^(n)] by one call.
 
         r = target / (1 + s T)^(n + 1)
         """
@@ -182,13 +185,13 @@ class Plan:
 
     @cached_property
     def test(self) -> "Vector":
-        """Return the test vector of every language."""
+        """Return the test vector that all languages use."""
         return _vector(self)
 
 
 @dataclass(frozen=True)
 class Vector:
-    """A run in both directions, in exported units: input, displacement, motion [y, ..., y^(n)], input within limits.
+    """Test data in exported units: voltage, displacement, motion [y, ..., y^(n)], and limited voltage for it.
 
     `every`: steps from one number of a file to the next; voltage and motion are linear in between.
     """
@@ -204,7 +207,7 @@ class Vector:
 def plan(
     model: object, name: str, rate: float | None, precision: str, time_constant: float | None = None, *, held=False
 ) -> Plan:
-    """Return a plan, or refuse the request with the reason.
+    """Prepare an export, or refuse the request with the reason.
 
     Raises:
         BadInput: no single model, a name that is not an identifier, or an invalid rate or precision.
@@ -238,7 +241,7 @@ def _written(step: steps.Step) -> Written:
 
 
 def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> tuple[np.ndarray, ...]:
-    """Run a step along its inputs, by JAX in float64, from an actuator held at y0 under u0."""
+    """Simulate a one-sample step along its inputs, by JAX in float64, from an actuator held at y0 under u0."""
     with jax.enable_x64(True):
         rows = jnp.asarray(values, jnp.float64).reshape(len(values), -1)
         start = step.start(jnp.asarray(y0, jnp.float64), jnp.asarray(u0, jnp.float64))
@@ -246,7 +249,7 @@ def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> 
 
 
 def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
-    """Limit the voltage to range and slew, as the templates do."""
+    """Limit a voltage to range and slew, as the exported code does."""
     (low, high, slew), last = plan.voltages, 0.0
     kept = np.clip(wanted, low, high)
     for k, u in enumerate(kept):
@@ -279,7 +282,7 @@ def _vector(plan: Plan) -> Vector:
 
 
 def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, np.ndarray]:
-    """Interpolate a coarse input to every step, and return it with the model's displacement."""
+    """Interpolate a coarse voltage to every sample; return it with the model's displacement."""
     low, high, _ = plan.voltages
     u = np.clip(coarse, low, high)
     if plan.single:  # the controller reads the vector in float, so the reference must start with the same numbers
@@ -289,7 +292,7 @@ def _answered(plan: Plan, coarse: np.ndarray, every: int) -> tuple[np.ndarray, n
 
 
 def _between(coarse: np.ndarray, every: int) -> np.ndarray:
-    """Interpolate rows linearly, `every` steps up to each of them; before the first it is the first."""
+    """Interpolate rows linearly to `every` samples each; before the first row the value is constant."""
     before = np.concatenate([coarse[:1], coarse[:-1]])
     part = (np.arange(1, every + 1) / every).reshape(every, *[1] * (coarse.ndim - 1))
     rows = before[:, None] + part * (coarse - before)[:, None]
@@ -298,13 +301,13 @@ def _between(coarse: np.ndarray, every: int) -> np.ndarray:
 
 
 def half_step(plan: Plan) -> float:
-    """Return the largest change of the displacement in half a step of the test vector, over the stroke."""
+    """Return the largest change of the test displacement in half a sample, divided by the stroke."""
     y = plan.test.displacement
     return float(np.abs(np.diff(y)).max()) / 2 / max(float(np.ptp(y)), plan.stroke)
 
 
 def rate_error(plan: Plan) -> float | None:
-    """Return the error of another rate than the model's, e_rms (%) over its own test voltage; None at its own.
+    """Return the error of another rate than the model's, e_rms (%) over its test voltage; None at its own rate.
 
     The voltage is the same for every rate, so the figures of several rates can be compared.
     """
@@ -321,7 +324,7 @@ def rate_error(plan: Plan) -> float | None:
 
 @contextmanager
 def whole_folder(folder: str | Path) -> Iterator[Path]:
-    """Make a new folder that appears with all its files or not at all.
+    """Create a new folder that appears with all its files or not at all.
 
     Raises:
         BadInput: it exists, or cannot be made.

@@ -1,4 +1,4 @@
-"""Scalar expressions: every element of every array of a program as a number or a node.
+"""Scalar expressions: each array element of a program is a number or a node of an expression.
 
     a Python number                 known when the program is written: folded in
     Node(op, args)                  known when it runs; equal expressions are one node
@@ -53,7 +53,7 @@ TRUTHS = ("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not", "is_fin
 
 @dataclass(frozen=True, eq=False)
 class Node:
-    """One operation on scalars.
+    """One scalar operation of a program.
 
     Attributes:
         op: its name in `FOLDED`, or "input", "select", "matrix", "loop", "item".
@@ -72,7 +72,7 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A body that runs `count` times on (known, carry, one row at a time) and writes its carry back."""
+    """A loop: its body runs `count` times on (constants, carry, one row) and replaces the carry."""
 
     body: "Program"
     count: int
@@ -82,13 +82,13 @@ class Loop:
 
 @dataclass(frozen=True, eq=False)
 class Program:
-    """A function of scalars: its inputs and its outputs, which are nodes or numbers."""
+    """A function of scalars: the number of its inputs, and its outputs, which are nodes or numbers."""
 
     inputs: int
     outputs: tuple
 
     def nodes(self) -> list[Node]:
-        """Return the nodes that the outputs need, in an order in which they can be written."""
+        """Return the nodes that the outputs need, each after its arguments."""
         # from the outputs backwards, so that unused nodes are never written
         needed, open_ = {}, [o for o in self.outputs if isinstance(o, Node)]
         while open_:
@@ -99,7 +99,7 @@ class Program:
         return sorted(needed.values(), key=lambda n: n.place)  # a node is made after its arguments
 
     def operations(self) -> int:
-        """Return the number of operations of a run, including all turns of loops."""
+        """Return the number of operations of one call, with all iterations of loops."""
         count = 0
         for node in self.nodes():
             if isinstance(node.block, Loop):
@@ -111,20 +111,20 @@ class Program:
         return count
 
     def constants(self) -> int:
-        """Return the number of constants in its tables."""
+        """Return the number of constants in the tables of the program."""
         blocks = [node.block for node in self.nodes() if node.block is not None]
         return sum(b.body.constants() if isinstance(b, Loop) else np.asarray(b).size for b in blocks)
 
 
 @dataclass
 class Builder:
-    """A factory of nodes that makes equal ones once."""
+    """A factory of nodes that creates equal nodes only once."""
 
     known: dict = field(default_factory=dict)
     count: int = 0
 
     def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
-        """Return the node of this operation, new or existing."""
+        """Return the node of an operation: the existing one, or a new one."""
         # by type too: 1, 1.0 and True are equal in Python, and different in C
         key = (op, tuple(id(a) if isinstance(a, Node) else (type(a), a) for a in args), id(block))
         if key not in self.known:
@@ -133,11 +133,11 @@ class Builder:
         return self.known[key]
 
     def inputs(self, count: int) -> list[Node]:
-        """Return the nodes of the input array."""
+        """Return the nodes of the program's inputs."""
         return [self.node("input", (k,)) for k in range(count)]
 
     def make(self, op: str, *args):
-        """Return an operation: folded if its arguments are known, simplified if one is 0 or 1."""
+        """Return an operation's result: a number for known arguments, simplified if an argument is 0 or 1."""
         if not any(isinstance(a, Node) for a in args):
             return FOLDED[op](*args)
         simple = _simpler(op, args)
@@ -146,7 +146,7 @@ class Builder:
         return self.node(op, args, truth=op in TRUTHS)
 
     def select(self, which, no, yes):
-        """Return `yes` where it is true, otherwise `no`."""
+        """Return `yes` where the condition `which` is true, otherwise `no`."""
         if not isinstance(which, Node):
             return yes if which else no
         if no is yes or (not isinstance(no, Node) and not isinstance(yes, Node) and no == yes):
@@ -155,14 +155,14 @@ class Builder:
         return self.node("select", (which, no, yes), truth=truth)
 
     def total(self, terms: Sequence):
-        """Return the sum of the terms, in order."""
+        """Return the sum of the terms, added in order."""
         result = 0.0
         for term in terms:
             result = self.make("add", result, term)
         return result
 
     def block(self, node: Node, count: int) -> list[Node]:
-        """Return the results of a "matrix" or a "loop", one by one."""
+        """Return the results of a "matrix" or "loop" node, one node each."""
         return [self.node("item", (node, k)) for k in range(count)]
 
 
@@ -174,7 +174,7 @@ def _is(value, number: float) -> bool:
 
 
 def _simpler(op: str, args: tuple):
-    """Return an operation simplified by a neutral or absorbing number; None if it has none.
+    """Simplify an operation with the argument 0, 1, true or false; None if it cannot be simplified.
 
     0 times a node is 0, because `steps` rejects inputs that are not finite.
     """

@@ -1,4 +1,4 @@
-"""Define the exported steps: one sample of the decoder and one of eq. 13, with effects.
+"""Define the exported one-sample steps: simulation, and inverse (voltage for a wanted motion), with effects.
 
 Displacements y are in the one coordinate (`_model.coordinate`): 0 at 0 V.
 
@@ -40,7 +40,7 @@ _ROUNDING = 1e-6  # of the model's unit of force
 
 @dataclass(frozen=True)
 class Step:
-    """A pure step with its initial state.
+    """A pure one-sample step with its initial state.
 
     Attributes:
         start: fn(y, u) -> carry of an actuator held at y (m from 0 V) under u (V) indefinitely.
@@ -56,7 +56,7 @@ class Step:
 
 
 def predict(model: Model, dt: float, *, held: bool = False) -> Step:
-    """Build the step from a voltage (V) to the displacement (m from 0 V) at its sample.
+    """Build the step from a voltage (V) to the displacement at the same sample (m, from 0 V).
 
     `held`: the voltage is held from this call to the next, and the displacement is that of the next.
     """
@@ -91,7 +91,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
 
 
 def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
-    """Convert inputs and outputs of a step from base units to those of exported code."""
+    """Convert inputs and outputs of a step from base units to the units of the exported code."""
     drive, motion = units.input.factor, units.si.factor
     if drive == motion == 1:
         return step
@@ -105,12 +105,12 @@ def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
 
 
 def samples_of(effect: Effect, dt: float) -> int:
-    """Return how many voltages a delay stores."""
+    """Return the number of past voltages that a delay must store."""
     return int(np.floor(float(effect.time) / dt)) + 2
 
 
 def inverse(model: Model, dt: float) -> Step:
-    """Build the step from [y, ..., y^(n)] (m / s^i, from 0 V) to the voltage (V) and whether it is infeasible."""
+    """Build the step from a wanted [y, ..., y^(n)] (m/s^i, from 0 V) to (voltage in V, infeasible or not)."""
     n = model.order
     scales = np.asarray(model.scales.state)  # float64 wherever the step is built; jnp.asarray may round to float32
     senses = bool(ports.sensors(model))
@@ -149,7 +149,7 @@ def inverse(model: Model, dt: float) -> Step:
 
 
 def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
-    """Extrapolate the last three samples: k = -8 ... 8 of v + k (v' dt) + k^2 / 2 (v'' dt^2)."""
+    """Continue three values by a parabola: values at k = -8 ... 8 samples from the last one."""
     k = np.arange(-_BESIDE, _BESIDE + 1.0)[:, None]
     # Lagrange's polynomials through k = -2, -1, 0
     through = np.concatenate([k * (k + 1) / 2, -k * (k + 2), (k + 1) * (k + 2) / 2], 1)
@@ -157,7 +157,7 @@ def _parabola(values: Float[Array, "3 ..."]) -> Float[Array, "window ..."]:
 
 
 def _undone(model: Model, films, levels, begun, dt: float):
-    """Compute the voltage for the film, the states of the effects' inverses, and whether the voltage is feasible.
+    """Compute the voltage for the film voltage, the new states of the effects, and whether it is feasible.
 
     `levels`: per effect its states and the last three values of its input.
     """
@@ -177,7 +177,7 @@ def _undone(model: Model, films, levels, begun, dt: float):
 
 
 def behind_sensor(model: Model, rows: Float[Array, "3 tokens"], dt: float) -> Float[Array, " tokens"]:
-    """Compute [x, ..., x^(n)] from a reading and its derivatives (scaled), by the chain rule along its motion.
+    """Compute [x, ..., x^(n)] from a sensor reading and its derivatives (scaled), by the chain rule.
 
     x(s) = undo(y(. + s)) at the sample, y_k(s) = sum_i y_k^(i) s^i / i!:   x^(i) = d^i x / ds^i at s = 0
     """

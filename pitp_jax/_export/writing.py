@@ -1,4 +1,4 @@
-"""Write a scalar program as text: one line a value, in C99 or in MATLAB.
+"""Write a scalar program as text in C99 or MATLAB, one line per value.
 
     v12 = v7 * v9;      a value used once is written where it is used if the line stays short
 
@@ -29,7 +29,7 @@ _OWN = (*_HELPERS, "isfinite")  # not functions of libm, which have no float var
 
 @dataclass
 class Writer:
-    """A writer of programs that collects the tables and loop bodies they need.
+    """A writer of programs, which also collects the tables and loop bodies that they need.
 
     Attributes:
         language: "c" or "matlab".
@@ -42,7 +42,7 @@ class Writer:
     beside: list[str] = field(default_factory=list)
 
     def number(self, value) -> str:
-        """Return a literal that reads back as the same number."""
+        """Return a literal in C or MATLAB that reads back as the same number."""
         if isinstance(value, (bool, np.bool_)):
             return "true" if value else "false"
         value = float(value)
@@ -59,7 +59,7 @@ class Writer:
         return f"({text})" if value < 0 else text  # after a minus sign it would read as a decrement
 
     def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
-        """Return lines that compute a program from named inputs and end with its assignments."""
+        """Write the lines that compute a program from named inputs and assign its named outputs."""
         nodes, uses = program.nodes(), {}
         for user in (*(n.args for n in nodes), program.outputs):
             for a in user:
@@ -90,7 +90,7 @@ class Writer:
         return lines
 
     def function(self, name: str, program: Program, state: int, outputs: int) -> str:
-        """Return C code: static void name(const real s[], const real in[], real next[], real out[])."""
+        """Write a program as a C function: static void name(const real s[], in[], real next[], real out[])."""
         inputs = [f"s[{k}]" for k in range(state)] + [f"in[{k}]" for k in range(program.inputs - state)]
         to = [f"next[{k}]" for k in range(len(program.outputs) - outputs)] + [f"out[{k}]" for k in range(outputs)]
         lines = self.body(program, inputs, to)
@@ -102,7 +102,7 @@ class Writer:
         return f"{head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
 
     def helpers(self, text: str) -> str:
-        """Return the helpers that a C text uses."""
+        """Return the C helper functions that a text uses."""
         return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
 
     def _operation(self, op: str, args: list[str]) -> str:
@@ -194,7 +194,7 @@ class Writer:
 
 
 def _closes(text: str) -> bool:
-    """Return whether the first parenthesis closes with the last character."""
+    """Return whether the first parenthesis of a text is closed by its last character."""
     depth = 0
     for k, c in enumerate(text):
         depth += (c == "(") - (c == ")")

@@ -1,4 +1,4 @@
-"""Inversion: computes the voltage for a wanted motion of a model (paper, eq. 13).
+"""Invert a model: compute the voltage for a wanted motion (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)
 

@@ -1,4 +1,4 @@
-"""Warnings about a target and its plan, one line each with extent and remedy.
+"""Write warnings about a target and its planned voltage, one line each, with extent and remedy.
 
 Corners: x^(n-1) jumps by 30 % of its range in one sample. Rounding them by a Gaussian, x * g_s, costs 100 rms(x * g_s -
 x) / range; the smallest width s without a remaining corner is reported with that error.
@@ -30,7 +30,7 @@ _WIDTHS = 12  # doublings of the rounding, from one sample on
 
 @dataclass(frozen=True)
 class Found:
-    """The values of all stages of a feedforward.
+    """The results of all steps of a feedforward, from the target to the checked voltage.
 
     Attributes:
         fitted: the given model.
@@ -55,7 +55,7 @@ class Found:
 
 
 def advice(found: Found) -> tuple[str, ...]:
-    """Return all warnings about a target and its plan, in the order of the stages."""
+    """Return all warnings about a target and its planned voltage, in the order of the steps."""
     motion, limits, units = found.motion, found.limits, found.limits.units
     own, checked = motion.target, found.checked
     lines = ()
@@ -88,7 +88,7 @@ def advice(found: Found) -> tuple[str, ...]:
 
 
 def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
-    """Return the fraction of samples where x^(n-1) jumps by more than 30 % of its range: corners and noise."""
+    """Return the fraction of samples where x^(n-1) jumps by over 30 % of its range, at corners and noise."""
     # the force follows x^(n): where x^(n-1) jumps, it is an impulse that no voltage can produce
     x = wanted
     for _ in range(model.order - 1):
@@ -98,7 +98,7 @@ def roughness(wanted: np.ndarray, dt: float, model: Model) -> float:
 
 
 def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float] | None:
-    """Return the width (s) of the narrowest Gaussian without corners, and its change of the target, % of range."""
+    """Return width (s) of the narrowest Gaussian that removes all corners, and the error it adds (% of range)."""
     for width in 2.0 ** np.arange(_WIDTHS):
         if 8 * width > len(wanted):  # such a filter would return a mean, not a motion
             break
@@ -109,7 +109,7 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
 
 
 def on_target(motion: Motion, units: Units) -> tuple[str, ...]:
-    """Return warnings about a target before it is planned."""
+    """Return the warnings about a target before a voltage is planned."""
     model, warnings = motion.model, ()
     if motion.dt > 1.01 * model.dt:
         warnings += (
@@ -139,7 +139,7 @@ def on_target(motion: Motion, units: Units) -> tuple[str, ...]:
 
 
 def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
-    """Return a line if the first sample of the target needs a voltage far from the input at the ends."""
+    """Return a warning if the target's first sample needs a voltage far from the start voltage."""
     if abs(voltage - limits.ends) <= _FAR * limits.high:
         return ()
     shown = limits.units.input
@@ -150,7 +150,7 @@ def on_start(voltage: float, seconds: float, limits: Limits) -> tuple[str, ...]:
 
 
 def on_smoothing(motion: Motion, checked: Checked, units: Units) -> tuple[str, ...]:
-    """Return a line on the smoothing of a target with corners or noise."""
+    """Return a line on the smoothing of a target that has corners or noise."""
     if roughness(motion.displacement[motion.target], motion.dt, motion.model) == 0 or not checked.percent > 0:
         return ()
     return (
@@ -160,7 +160,7 @@ def on_smoothing(motion: Motion, checked: Checked, units: Units) -> tuple[str, .
 
 
 def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """Return warnings if over 1 % of the target needs an impossible force, or is clipped by a limit."""
+    """Return warnings if over 1 % of the target needs a force that no voltage gives, or is clipped by a limit."""
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (
@@ -176,7 +176,7 @@ def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, 
 
 
 def on_stroke(wanted: np.ndarray, reached: float, limits: Limits) -> tuple[str, ...]:
-    """Return lines if the target exceeds the displacement limit, or the plan does despite the limit."""
+    """Return warnings if the target or the simulated motion exceeds the displacement limit."""
     if not np.isfinite(limits.farthest):
         return ()
     shown, lines = limits.units.limit, ()

@@ -1,4 +1,4 @@
-"""Compute the best change of a voltage for a linearised rollout with limits, as a `stage_qp` programme.
+"""Compute the best change of a voltage within the limits, by a quadratic programme on a linearised simulation.
 
     y_t = y_t(u) + C_t z,   u_t + c + j d within its range,   |u_{t+1} - u_t + d| <= slew dt,   |y_t| <= farthest
 
@@ -29,7 +29,7 @@ _MARGIN = 1e-3  # of the limit on the displacement
 
 @dataclass(frozen=True)
 class Wish:
-    """The wanted reading and the limits on its voltage.
+    """The wanted reading over time, and the limits on the voltage that produces it.
 
     Attributes:
         reading: in model coordinates, m, shape (T,).
@@ -54,12 +54,12 @@ class Wish:
 
     @property
     def unit(self) -> float:
-        """Return the range U of the voltages, V."""
+        """Return the range U of the allowed voltages, V."""
         return float(self.high.max() - self.low.min())
 
 
 def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) -> np.ndarray:
-    """Compute the change of the voltage, V, shape (T,).
+    """Compute the change of the voltage (V) that brings the linearised reading closest to the wanted one.
 
     Args:
         model: in float64.
@@ -81,7 +81,7 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
 
 
 class _Cut:
-    """A function that arranges samples in rows of one stage, with a fill value after the last sample."""
+    """A function that cuts a series into rows of equal length, with a fill value after the last sample."""
 
     def __init__(self, stages: int, length: int):
         self.stages, self.length = stages, length
@@ -93,13 +93,13 @@ class _Cut:
 
 
 def _padded(stages: int) -> int:
-    """Round up by an eighth at most, so that horizons of similar length share a compiled program."""
+    """Round a number of stages up by at most an eighth, so that similar horizons share a compiled program."""
     unit = 2 ** max(int(np.log2(stages)) - 3, 3)
     return -(-stages // unit) * unit
 
 
 def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linearise the reading (m) along the rollout (`Stages`), from the first sample that the voltage affects."""
+    """Linearise the reading (m) along the simulation, from the first sample that the voltage affects."""
     u = jnp.asarray(now.voltage)
     film = np.asarray(model.drive.film(ports.delayed(model, u, wish.dt, True), wish.dt, jnp.asarray(True)))
     if model.input_map.one_sided:  # the slope of a square at 0 is 0, so a film at rest would never move
@@ -112,7 +112,7 @@ def _readings(model: Model, wish: Wish, now: Played, cut: _Cut, late: int) -> tu
 
 
 def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward, reading) -> StageQP:
-    """Build the programme, with an initial stage whose control is the first slope."""
+    """Build the quadratic programme; its first stage only chooses the first slope of the voltage change."""
     v = now.voltage / wish.unit
     counted = cut(wish.counted[late:].astype(float), 0.0)
     C = reading * counted[..., None] / size
@@ -142,7 +142,7 @@ def _programme(wish, now, cut: _Cut, late: int, size: float, rho: float, onward,
 
 
 def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np.ndarray):
-    """Return rows on z and their bounds: voltages, slopes in units of the slew limit, readings if limited."""
+    """Return the inequality rows and their bounds: voltages, slopes over the slew limit, limited readings."""
     v, step = now.voltage / wish.unit, min(wish.slew * wish.dt / wish.unit, 1.0)
     n, j = reading.shape[-1], np.arange(cut.length)
     G = np.zeros((cut.stages, cut.length + 1, n))
@@ -161,5 +161,5 @@ def _inequalities(wish, now, cut: _Cut, late: int, rise: np.ndarray, reading: np
 
 
 def second_differences(u: np.ndarray) -> np.ndarray:
-    """Compute second differences at every sample, with u before the first equal to the first."""
+    """Compute the second differences of u at every sample; before the first sample, u is constant."""
     return np.diff(np.concatenate([np.full(2, u[0]), u]), 2)

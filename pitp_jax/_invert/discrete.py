@@ -1,4 +1,4 @@
-"""Invert the decoder: the force sequence behind its consecutive states (docs/readings.md, eq. 13).
+"""Invert the simulation: find the voltages that lead from each of its states to the next.
 
 With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
 
@@ -25,7 +25,7 @@ from .._simulate.decoder import film_voltage, frozen_increment, stage_fractions,
 
 
 def _affine(model: Model, state, dt):
-    """Compute p(s) and the three g_j(s) of one frozen step, for all rows."""
+    """Compute p(s) and g_j(s) of s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j for one time step."""
     units = jnp.eye(3, dtype=state.dtype)
 
     def stepped(forces):
@@ -43,7 +43,7 @@ def discrete_inverse(
     first: Float[Array, ""] | None = None,
     sweeps: int = 20,
 ) -> Float[Array, " time-1"]:
-    """Compute the voltage (V) of every step between the states of a free run, shape (time - 1,); one step a sample.
+    """Compute the voltage (V) of every time step between the states of a simulation, shape (time - 1,).
 
     Args:
         model: as rolled out.
@@ -89,7 +89,7 @@ def discrete_inverse(
 
 
 def _solve_foh(model: Model, upper, lower, first, sweeps):
-    """Solve for all voltages at once by Gauss-Newton, in units where the largest force is one."""
+    """Solve for all voltages at once by Gauss-Newton, for a voltage that is linear between samples."""
     top, top_gain = upper
     dtype = top.dtype
     force, voltage = model.input_map.force, model.input_map.voltage
@@ -122,7 +122,7 @@ def _solve_foh(model: Model, upper, lower, first, sweeps):
 
 
 def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
-    """Solve for the Gauss-Newton step of all voltages, from (residual, two derivatives, weight) of every step.
+    """Solve for the Gauss-Newton step of all voltages, from residual, derivatives and weight of every step.
 
     `anchor`, `pull`: weight and weighted error of the first voltage, if it is known.
     """
@@ -141,7 +141,7 @@ def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
 def along_motion(
     model: Model, force: Float[Array, " time"], features: Float[Array, "time features"], dt, sweeps: int = 5
 ) -> Float[Array, " time"]:
-    """Solve for the film voltage (V) whose steps lead from each instant of a motion to the next, all at once.
+    """Compute the film voltage (V) whose simulation steps lead from each instant of a motion to the next.
 
         s_{t+1} = step(s_t, V_t, V_{t+1})       rows x^(n-1) and x^(n-2), each over what a force moves it by
 

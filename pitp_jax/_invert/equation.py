@@ -1,4 +1,4 @@
-"""Invert the equation of motion: compute the voltage along a motion (paper, eq. 13).
+"""Invert the equation of motion: compute the voltage for a wanted motion (paper, eq. 13).
 
     F(t) = sigma_off + sum_i sigma_i(S, m) x^(i),    V = sqrt(max(F, 0)),    u = drive^-1(V)   (e.g. V + tau V')
 
@@ -22,7 +22,7 @@ _HUGE = 1e3  # of the training force: replaces an infeasible force
 
 
 def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]):
-    """Compute the scaled force of eq. 13 at each instant, from scaled [x, ..., x^(n)] and memories."""
+    """Compute the scaled force that a motion needs, from scaled [x, ..., x^(n)] and memories at each instant."""
     rows = list(equation.T)
     return equation_force(model, model.encoder.over()([*rows[:-1], *memory.T]), rows)[0]
 
@@ -31,7 +31,7 @@ def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Flo
 def force_and_voltage(
     model: Model, equation: Float[Array, "time tokens"], dt: float, start: Float[Array, " memory"]
 ) -> tuple[Float[Array, " time"], Float[Array, " time"], Float[Array, "time memory"]]:
-    """Compute scaled force, voltage before limits (V) and memories along scaled [x, ..., x^(n)].
+    """Compute scaled force, voltage before limits (V) and memories for a wanted motion, scaled [x, ..., x^(n)].
 
     Args:
         model: without effects.
@@ -47,7 +47,7 @@ def force_and_voltage(
 
 @jit
 def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, age: float | Float[Array, ""] = 0.0):
-    """Compute scaled force, voltage before limits (V) and features along a path from rest; vmap for a batch.
+    """Compute scaled force, voltage before limits (V) and features for a wanted motion that starts at rest.
 
     `age`: of the session at its first sample, s, for effects that depend on it.
     """
@@ -64,7 +64,7 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
 
 @jit
 def unreachable(model: Model, force: Float[Array, " time"], dt: float) -> Bool[Array, " time"]:
-    """Return where no voltage gives this scaled force, or an effect on the voltage excludes it."""
+    """Return True where no voltage gives this scaled force, or where an effect on the voltage excludes it."""
     # an actuator at rest needs a force of zero within rounding
     slack = _ROUNDING * jnp.abs(jnp.where(jnp.isfinite(force), force, 0.0)).max(initial=0.0)
     never = model.input_map.infeasible(force + slack)
@@ -72,5 +72,5 @@ def unreachable(model: Model, force: Float[Array, " time"], dt: float) -> Bool[A
 
 
 def scaled_equation(model: Model, derivatives: Float[np.ndarray, "time tokens"]) -> Float[Array, "time tokens"]:
-    """Convert [x, ..., x^(n)] to the model's units and precision."""
+    """Convert the derivatives [x, ..., x^(n)] (m/s^i) to the model's scaled units and precision."""
     return jnp.asarray(derivatives / model.scales.state, model.coefficients.dtype)

@@ -1,4 +1,4 @@
-"""Feedforward: the voltage with which the model follows a target, by eq. 13 and shooting, or the nearest motion.
+"""Plan a feedforward: the voltage with which the model follows a target as closely as the limits allow.
 
     target -> motion on its clock -> lead-in within the limits -> voltage -> self-check
 
@@ -35,7 +35,7 @@ _MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage can reach: of th
 
 @dataclass(frozen=True, repr=False)
 class Feedforward(Shown):
-    """A voltage to play, and how far it can be trusted.
+    """A voltage to play, with warnings and the error of the model's own simulation.
 
     Attributes:
         time: s, shape (M,): the target's clock, with the ramps before and after it.
@@ -126,7 +126,7 @@ def feedforward(
 
 
 def _plan(found: Found, warnings: tuple[str, ...]) -> Feedforward:
-    """Return the plan on the target's clock, with the model's own tracking error."""
+    """Build the feedforward on the target's clock, with the error of the model's own simulation."""
     motion, count = found.motion, len(found.best.voltage)
     first, last = motion.target.start, motion.target.stop
     inside = np.zeros(count, bool)
@@ -148,7 +148,7 @@ def _plan(found: Found, warnings: tuple[str, ...]) -> Feedforward:
 
 
 def _refuse_other_side(wanted: Motion, limits: Limits, fraction: float, zero: Zero) -> None:
-    """Refuse a target whose negative is reachable: its sign or its offset is wrong.
+    """Refuse a target whose negative is reachable: its sign or the sensor offset is wrong.
 
     Raises:
         BadInput: the negative is reachable.

@@ -31,7 +31,7 @@ def inverse(
     kind: Kind = "closed_form",
     zero: Zero = "rest",
 ) -> tuple[Float[Array, " time"], Bool[Array, " time"]]:
-    """Compute the voltage (V) with which the model follows a displacement (m) from rest; `jax.vmap` for more.
+    """Compute the voltage (V) with which the model follows a displacement (m) that starts at rest.
 
     `feedforward` adds limits, a lead-in and a check.
 

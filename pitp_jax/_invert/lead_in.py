@@ -1,4 +1,4 @@
-"""Lead a motion in from rest, and its voltage back to rest.
+"""Lead a wanted motion in from rest, and lead its voltage back at the end.
 
 x^(i): quintic (order + 3) spline through the samples, differentiated
 lead-in: the smoothest bounded force that swings the nominal ODE from rest to the target's first state, within the
@@ -27,7 +27,7 @@ _SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sampl
 
 
 def led_in(motion: Motion, limits: Limits) -> Motion:
-    """Add a lead-in to a motion that does not start at rest at its settled displacement, or whose voltage is late.
+    """Add a lead-in to a motion that does not start at rest, or whose voltage must start early (delay).
 
     Rest is S = 0; from order 3 on this includes the acceleration. Order 2 can change it at once, except for the first
     sample, which stays at the voltage of the ends.
@@ -64,7 +64,7 @@ def led_in(motion: Motion, limits: Limits) -> Motion:
 
 
 def _after(motion: Motion, lead: np.ndarray, slew_kept: bool = True, reached: bool = True) -> Motion:
-    """Return the motion after a lead-in (m, from the settled displacement)."""
+    """Prepend a lead-in (m, from the displacement at the start voltage) to a motion."""
     count = len(lead)
     return replace(
         motion,
@@ -77,14 +77,14 @@ def _after(motion: Motion, lead: np.ndarray, slew_kept: bool = True, reached: bo
 
 
 def _rests(wanted: np.ndarray, states: np.ndarray, order: int) -> bool:
-    """Return whether a motion starts at rest, by its first derivatives relative to the largest of each."""
+    """Return whether a motion starts at rest: its first derivatives are small against their largest values."""
     first = np.abs(states[0, 1:]) / np.maximum(np.abs(states[:, 1:]).max(0), 1e-30)
     size = max(np.ptp(wanted), abs(wanted).max(), 1e-30)
     return not (abs(states[0, 0]) > 1e-3 * size or first[0] > 1e-2 or (first[1 : order - 1] > _SUDDEN).any())
 
 
 def ramp_down(voltage: float, limits: Limits, seconds: float, dt: float) -> np.ndarray:
-    """Return a raised cosine from the last voltage to the one at the ends, of at least so many s, within the slew."""
+    """Return a raised cosine from the last voltage to the end voltage, within the slew limit, at least `seconds`."""
     far = voltage - limits.ends
     count = max(int(np.ceil(max(np.pi * abs(far) / (2 * limits.slew), seconds) / dt)), 2)
     tail = limits.ends + far * 0.5 * (1 + np.cos(np.pi * np.arange(1, count + 1) / count))
@@ -93,7 +93,7 @@ def ramp_down(voltage: float, limits: Limits, seconds: float, dt: float) -> np.n
 
 
 def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, high: float):
-    """Find a motion from rest to [x, ..., x^(n)] = `end` with a force within [low, high], by the nominal ODE.
+    """Find a motion from rest to [x, ..., x^(n)] = `end` by the nominal model, with a force in [low, high].
 
         F = sum_k c_k B_k(t),   minimise |D^2 c|^2 + |c / F_max|^2  subject to  X(T) = end,  low <= c <= high
 
@@ -123,7 +123,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
 
 
 def _respond(a: np.ndarray, forces: np.ndarray, dt: float) -> np.ndarray:
-    """Simulate the nominal ODE from rest under forces (T, k), linear between samples; return states (T, n, k)."""
+    """Simulate the nominal model from rest under forces (T, k), linear between samples; return (T, n, k)."""
     n = len(a) - 1
     # the force and its rise over a sample as two more states: one matrix exponential is the exact step
     chained = np.zeros((n + 2, n + 2))

@@ -1,4 +1,4 @@
-"""Limits of a feedforward: the amplifier's range and slew, and the actuator's displacement.
+"""The limits of a feedforward: voltage range and slew of the amplifier, displacement of the actuator.
 
 low <= u <= high,   |u'| <= slew,   |x| <= farthest
 """
@@ -17,7 +17,7 @@ _VOLTS = Units()
 
 @dataclass(frozen=True)
 class Limits:
-    """Input range, slew, displacement from the position at zero input, and the input at both ends.
+    """Limits of voltage range, slew, and displacement from the position at 0 V; and the start and end voltage.
 
     All in base units (V, V/s, m); `units` is for messages. `assumed`: the limits that come from the model's recordings.
     """
@@ -32,24 +32,24 @@ class Limits:
 
     @property
     def unnoticed(self) -> float:
-        """Return the tolerated difference of the first sample, V: a hundredth of the range."""
+        """Return the tolerated deviation of the first sample's voltage, V: a hundredth of the range."""
         return 0.01 * (self.high - self.low)
 
     @property
     def range_text(self) -> str:
-        """Return the range in words; only its end if it starts at zero."""
+        """Describe the voltage range; only its upper end if the lower one is zero."""
         shown = self.units.input
         return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
 
     @property
     def slew_text(self) -> str:
-        """Return the slew limit in words, with its origin where the user did not give it."""
+        """Describe the slew limit, with its origin if the user did not give it."""
         origin = f" (the largest of the model's recordings; {self.units.max_rate} sets another)"
         return self.units.input.rate_text(self.slew, 3) + (origin if "slew" in self.assumed else "")
 
     @property
     def text(self) -> str:
-        """Return all limits in force, in words, with the origin of those that the user did not give."""
+        """Describe all limits, with the origin of those that the user did not give."""
         parts = [self.units.input.range_text(self.low, self.high), f"at most {self.units.input.rate_text(self.slew)}"]
         if np.isfinite(self.farthest):
             parts.append(f"{self.units.output_word} within {self.units.limit.text(self.farthest)}")
@@ -66,7 +66,7 @@ def limits_of(
     start_input: float = 0.0,
     units: Units = _VOLTS,
 ) -> tuple[Limits, tuple[str, ...]]:
-    """Choose the given limits, or those of the training records; return them and warnings.
+    """Choose the given limits, or those of the training records; return them with warnings.
 
     Raises:
         BadInput: a limit that is not positive, an infinite voltage, or a start beyond it.
@@ -108,7 +108,7 @@ def limits_of(
 
 
 def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Clip to the voltage range, then to the slew rate, starting at the voltage of the ends.
+    """Clip a voltage to its range, then to its slew limit, starting at the start voltage.
 
     Returns:
         The limited voltage, and True where it differs from the requested one.
@@ -125,5 +125,5 @@ def limit_slew(voltage: np.ndarray, limits: Limits, dt: float) -> tuple[np.ndarr
 
 
 def travel(voltage: np.ndarray) -> float:
-    """Compute the total variation of a voltage, V."""
+    """Compute the total variation of a voltage, V: the sum of its absolute changes."""
     return float(np.abs(np.diff(voltage)).sum())

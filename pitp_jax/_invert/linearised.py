@@ -1,4 +1,4 @@
-"""Linearise a rollout about a voltage: the effect of a small change on the reading, stage by stage.
+"""Linearise a simulation: the effect of a small change of the voltage on the reading, stage by stage.
 
     s_{t+1} = f(s_t, V_t, V_{t+1}),   A_t = df/ds,  B_t = df/d(V_t, V_{t+1}),   y_t = reading(s_t)
     V_{t+1} = q V_t + a u_t + b u_{t+1}                                          the electrode's lag
@@ -23,7 +23,7 @@ from .one_sample import film_after
 
 
 class Stages(NamedTuple):
-    """Matrices per stage: z at its end (same slope), and the scaled reading at each of its samples."""
+    """Matrices of each stretch of samples: the change of state at its end, and of the scaled reading at each sample."""
 
     onward: Float[Array, "stages n n"]
     reading: Float[Array, "stages length n"]
@@ -37,7 +37,7 @@ def linearise(
     dt: float,
     unit: Float[Array, ""],
 ) -> Stages:
-    """Compute the stages along a rollout.
+    """Linearise the simulation of a voltage; return the matrices of every stretch of samples.
 
     Args:
         model: any; the caller applies its delays.
@@ -60,7 +60,7 @@ def linearise(
         return step(model, s, between(pair, model.hold, fractions, jnp)[0], dt)
 
     def sample(s, pair):
-        """Compute the matrix that advances z by one sample, and the gradient of the reading."""
+        """Compute the matrix that advances z by one sample, and the gradient of the reading in the state."""
         A, B = jax.jacfwd(onward, argnums=(0, 1))(s, pair)
         moved = unit * B[:, 1:] * V
         moved = moved.at[:, :size].add(A).at[:, size].add(unit * B[:, 0])

@@ -1,4 +1,4 @@
-"""Compute the margins of a sampled PI loop from the plant's linearisation about its operating points.
+"""Compute the margins of a sampled PI loop from linearisations of the plant about its operating points.
 
     L(z) = (p + i dt z / (z - 1)) z^-1 G(z),   G(z) = (C (z - A)^-1 B + D) e^(-j w late),   z = e^(j w dt)
     maximum sensitivity M = max |1 / (1 + L)|,   gain margin = min 1 / |L| where L crosses the negative real axis
@@ -28,7 +28,7 @@ _ONE_STEP = np.pi / 2  # rad: a larger phase change between two frequencies is n
 
 @dataclass(frozen=True)
 class Plant:
-    """The frequency response of a plant about one operating point.
+    """The frequency response of a plant, linearised about one operating point.
 
     Attributes:
         frequency: rad/s, rising.
@@ -44,7 +44,7 @@ class Plant:
 def linearised(
     step: Callable, points: Sequence[tuple[Any, float, float]], dt: float, natural: float, late: float = 0.0
 ) -> list[Plant | None]:
-    """Linearise a plant about several states; return a `Plant` for each.
+    """Linearise a plant about several states; return its frequency response about each.
 
     Args:
         step: (state, input) -> (state, output one sample later).
@@ -73,7 +73,7 @@ def linearised(
 
 
 def responding(by_state: np.ndarray, by_value: np.ndarray, dt: float, natural: float, late: float = 0.0) -> Plant:
-    """Compute a plant's response from its matrices [[A], [C]] and [B, D]; other arguments as in `linearised`."""
+    """Compute the frequency response of a plant from its matrices [[A], [C]] and [B, D]."""
     A, B, C, D = by_state[:-1], by_value[:-1], by_state[-1], by_value[-1]
     poles = np.linalg.eigvals(A)
     frequency = _frequencies(poles, dt, natural)
@@ -93,7 +93,7 @@ def _frequencies(poles: np.ndarray, dt: float, natural: float) -> np.ndarray:
 
 
 def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[float, float]:
-    """Compute gain margin and maximum sensitivity, the worst of all operating points.
+    """Compute gain margin and maximum sensitivity, each the worst over all operating points.
 
     Returns:
         The gain margin and the maximum sensitivity; the sensitivity is infinite if a loop is unstable.
@@ -121,7 +121,7 @@ def _is_stable(f: np.ndarray, unstable: int) -> bool:
 
 
 def _crossings(L: np.ndarray) -> np.ndarray:
-    """Return the values where L crosses the negative real axis, by interpolation between two frequencies."""
+    """Return the values at which the loop gain L crosses the negative real axis, by interpolation."""
     real, imaginary = np.real(L), np.imag(L)
     above = np.sign(imaginary)
     at = np.flatnonzero((above[1:] * above[:-1] <= 0) & (above[1:] != above[:-1]))

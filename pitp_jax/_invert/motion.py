@@ -1,4 +1,4 @@
-"""Describe the motion that a target asks of a model: in model coordinates, from a state in which the model is settled.
+"""Describe the motion that a target asks of a model, in model coordinates, from rest or a held voltage.
 
 x = sensor^-1(target),    s_0 = rest at 0 V, or settled at the voltage that holds the actuator
 """
@@ -25,7 +25,7 @@ _WAITS = 100_000  # samples until a machine stands still
 
 @dataclass(frozen=True)
 class Motion:
-    """A motion of one model on one clock.
+    """A wanted motion of one model, sampled on one clock.
 
     Attributes:
         model: with the substeps that this clock needs.
@@ -55,7 +55,7 @@ class Motion:
 
     @property
     def age(self) -> float:
-        """Return the age of the session at the first sample, before which the actuator was at rest, s."""
+        """Return the time since the session started at the first sample, s; the actuator was at rest before."""
         return max(self.model.domain.age(self.begins), 0.0)
 
     @property
@@ -64,14 +64,14 @@ class Motion:
         return rest_state(self.model, self.age) if self.held is None else self.held
 
     def mirrored(self) -> "Motion":
-        """Return the negative of the target, from the same state."""
+        """Return the negative of the motion, from the same initial state."""
         return replace(self, displacement=-self.displacement, wanted=-self.wanted)
 
 
 def wanted_motion(
     model: Model, target: Target, smooth: Target, zero: Zero = "rest", start_input: float = 0.0
 ) -> Motion:
-    """Return the motion that a target asks for.
+    """Convert a target to the motion that the model must perform.
 
     Args:
         model: any.
@@ -91,7 +91,7 @@ def wanted_motion(
 
 
 def settling(model: Model) -> tuple[float, float]:
-    """Return the durations of lead-in and lead-out by the slowest mode, s.
+    """Return the durations of lead-in and lead-out, s, from the slowest mode.
 
     A mode that oscillates needs 5 and 3 periods, any other half a period (3 time constants). A memory counts as at most
     5 periods of the slowest pole, because slow creep excites no oscillation.
@@ -118,7 +118,7 @@ def settling(model: Model) -> tuple[float, float]:
 
 
 def standing(model: Model, voltage: float, dt: float, seconds: float) -> tuple[Float[Array, " state"], float]:
-    """Return the scaled state and the displacement (m) of the model settled at a voltage for so many seconds."""
+    """Return the scaled state and the displacement (m) after so many seconds at a constant voltage."""
     kind = model.coefficients.dtype
     level = float(model.input_map.force(np.asarray(voltage))) / float(model.physical_coefficients[0])
     level /= float(model.scales.state[0])

@@ -1,4 +1,4 @@
-"""Find the motion nearest to a target within the limits: constrained least squares over the whole horizon.
+"""Find the motion nearest to a target within all limits, by constrained least squares over its length.
 
     minimise    sum_target (y_t - w_t)^2 / m^2  +  rho sum (u_{t+1} - 2 u_t + u_{t-1})^2 / U^2         y = rollout(u)
     subject to  low_t <= u_t <= high_t,  |u_{t+1} - u_t| <= slew dt,  sum |u_{t+1} - u_t| <= budget,  |y_t| <= farthest
@@ -25,7 +25,7 @@ _BEYOND = 1e3  # weight of a reading beyond its limit
 
 
 def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
-    """Find the voltage (V, shape (T,)) within the limits whose rollout is nearest to the wanted reading.
+    """Find the voltage (V, shape (T,)) within the limits whose simulated reading is nearest to the wanted one.
 
     Args:
         model: any.
@@ -72,7 +72,7 @@ def _cost(wish: Wish, played: Played, size: float, rho: float) -> float:
 
 
 def _smoothness(model: Model, wish: Wish, first: np.ndarray) -> float:
-    """Return rho: a steady oscillation of U/4 at the resonance costs 1e-4 of the first voltage's error.
+    """Return the weight rho of curvature: an oscillation of U/4 at the resonance costs 1e-4 of the first error.
 
     The second differences of the first voltage cost at most a few hundredths of the error.
     """

@@ -1,4 +1,4 @@
-"""Advance memories and the film voltage by one sample, for each kind of memory and drive.
+"""Advance memories and the film voltage by one sample, for each kind of memory and electrode.
 
 V_{k+1} = q V_k + a u_k + b u_{k+1}  with q = exp(-dt / tau)           the electrode's lag of a voltage that is linear
 """
@@ -17,7 +17,7 @@ from .._numerics.linear_recurrence import lag_after
 
 @singledispatch
 def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    """Return the memories one sample later, x linear from `before` to `now` (scaled)."""
+    """Return the memory states one sample later, for x linear from `before` to `now` (scaled)."""
     return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
 
 
@@ -28,7 +28,7 @@ def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) 
 
 @singledispatch
 def lag(drive: AbstractDrive) -> Array:
-    """Return the time constant tau of u = V + tau V', s."""
+    """Return the time constant tau of the electrode's inverse u = V + tau V', s."""
     raise BadInput(f"a {type(drive).__name__} has no real-time inverse")
 
 
@@ -44,7 +44,7 @@ def _(drive: ElectrodeLag) -> Array:
 
 @singledispatch
 def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    """Return the film voltage one sample later, the voltage u linear from `before` to `now`."""
+    """Return the film voltage one sample later, for a voltage u linear from `before` to `now`."""
     raise BadInput(f"no real-time step of a {type(drive).__name__}")
 
 
@@ -60,7 +60,7 @@ def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) ->
 
 @singledispatch
 def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    """Return the film's stage voltages, and its voltage at the end, over one sample of a held voltage u."""
+    """Return the film voltages at the stages and at the end of one sample with a constant voltage u."""
     raise BadInput(f"no real-time step of a {type(drive).__name__}")
 
 

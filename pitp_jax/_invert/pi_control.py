@@ -1,4 +1,4 @@
-"""Correct a feedforward by a PI controller (paper, Fig. 14), in a simulated closed loop.
+"""Correct a feedforward voltage by a PI controller (paper, Fig. 14), in a simulated closed loop.
 
     v_t = h(u_ff,t) + P e_t + I z_t,   u_t = h^-1(v_t) within range and slew,   e = direction (x_target - x)
     z_{t+1} = z_t + e_t dt + (h(u_t) - v_t) dt / (I T)            back-calculation: z loses the clipped part within T
@@ -42,7 +42,7 @@ def pi_trim(
     tracking: float | None = None,
     direction: float = 1.0,
 ) -> tuple[Float[Array, " time"], Float[Array, " time"]]:
-    """Simulate a plant, at rest at the first sample, with feedforward plus PI.
+    """Simulate a plant that starts at rest, with a feedforward voltage and a PI controller.
 
     Over a sample the feedforward runs linearly to its next value and the correction is held. Outside a JAX
     transformation the loop is linearised about five states of the plant under the feedforward alone (`loop`).
@@ -81,7 +81,7 @@ def pi_trim(
     within = jnp.maximum(p / jnp.where(integrates, i, 1.0) if tracking is None else tracking, dt)
 
     def kept(wanted, feed, before):
-        """Convert a force to a voltage within range and slew; exactly the feedforward if nothing is added."""
+        """Convert a force to a voltage within range and slew; without a correction it is exactly the feedforward."""
         # h^-1(h(u)) rounds, so that gains of zero would not reproduce the file exactly
         u = where(wanted == h.force(feed), feed, h.voltage(wanted))
         return jnp.clip(jnp.clip(u, low, high), before - max_slew * dt, before + max_slew * dt)
@@ -108,7 +108,7 @@ def pi_trim(
 
 
 def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, gains: tuple, loop: tuple) -> None:
-    """Refuse gains whose loop is unstable about states that the feedforward alone reaches.
+    """Refuse PI gains whose loop is unstable about a state that the feedforward alone reaches.
 
     Raises:
         BadInput: with the factor by which the gains would have to be multiplied.

@@ -1,4 +1,4 @@
-"""Convert a plan to the clock of a faster player: straight lines between samples, as an order-one hold takes it.
+"""Convert a feedforward to the clock of a faster player, with straight lines between its samples.
 
 No limit of range or slew is exceeded between samples. A slower player needs another target (`target.at_slower_rate`).
 """
@@ -12,7 +12,7 @@ from .target import SAME
 
 
 def at_faster_rate(plan: Feedforward, rate: float | None) -> Feedforward:
-    """Return the plan resampled at `rate` (Hz) if that is above its own; flags are those of the sample before."""
+    """Resample a feedforward at `rate` (Hz), if that is above its own rate; each flag is that of the sample before."""
     spacing = float(plan.time[-1] - plan.time[0]) / (len(plan.time) - 1)
     if rate is None or rate < (1 + SAME) / spacing:
         return plan

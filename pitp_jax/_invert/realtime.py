@@ -1,4 +1,4 @@
-"""Real-time steps: eq. 13 and one decoder step, one sample at a time, compiled ahead for a control loop.
+"""Compile one-sample steps of the model and of its inverse (eq. 13) for a control loop.
 
     inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
     decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
@@ -31,7 +31,7 @@ from .one_sample import film_after, lag, memory_after
 
 @dataclass(frozen=True)
 class CompiledStep:
-    """A compiled step.
+    """A compiled one-sample step with its state at rest.
 
     Attributes:
         carry: state at rest, shape (C,), float32.
@@ -48,7 +48,7 @@ class CompiledStep:
 
 
 def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the voltage before limits (V) for [y, ..., y^(n)] (m / s^i, from 0 V, at rest before).
+    """Compile the step from a wanted [y, ..., y^(n)] (m/s^i, from 0 V) to the voltage before limits (V).
 
     Args:
         model: identified or trained, without effects.
@@ -87,7 +87,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
 
 
 def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the displacement (from 0 V, base unit) at the sample of the voltage u (V), from rest.
+    """Compile the step from a voltage (V) to the displacement (base unit, from 0 V) at the same sample.
 
     Args:
         model: identified or trained, without effects.
@@ -139,7 +139,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
 
 def _compile(exported: export.Exported):
-    """Compile through `jax.jit`, which dispatches twice as fast as a `Compiled` object, by calling it once.
+    """Compile an exported step through `jax.jit` by calling it once; a `Compiled` object dispatches half as fast.
 
     64-bit inputs are rounded, because the caller may have enabled them.
     """
@@ -151,7 +151,7 @@ def _compile(exported: export.Exported):
 
 
 def _refused(model: Model, dt: float) -> Model:
-    """Return the model, or refuse one that has no real-time step."""
+    """Return the model; refuse one with effects, and a sampling interval that is not positive."""
     if model.effects:
         raise BadInput("real-time steps only work for models without effects")
     if not dt > 0:

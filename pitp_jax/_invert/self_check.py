@@ -1,4 +1,4 @@
-"""Simulate a voltage with the model itself and compare the reading with the target. This predicts no tracking."""
+"""Simulate a planned voltage with the model and compare the reading with the target; no prediction of tracking."""
 
 from dataclasses import dataclass
 
@@ -17,7 +17,7 @@ from .motion import Motion
 
 @dataclass(frozen=True)
 class Played:
-    """A voltage (V), the scaled states of its rollout, and its reading (m), at least up to the target's end."""
+    """A voltage (V), the scaled states of its simulation, and its reading (m), at least up to the target's end."""
 
     voltage: np.ndarray
     states: np.ndarray
@@ -25,7 +25,7 @@ class Played:
 
 
 def play(model: Model, voltage: np.ndarray, dt: float, start) -> Played:
-    """Simulate a voltage (V) in float64 from a scaled state; rounding of float32 derivatives is several volts."""
+    """Simulate a voltage (V) in float64 from a scaled state. Float32 derivatives would be wrong by several volts."""
     with jax.enable_x64(True):
         model, start = in_double((model, jnp.asarray(start)))
         states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), dt, start[None])[0]
@@ -33,24 +33,24 @@ def play(model: Model, voltage: np.ndarray, dt: float, start) -> Played:
 
 
 def missed(played: Played, motion: Motion) -> float:
-    """Compute the rms error on the target's own samples, m."""
+    """Compute the rms error of a simulated reading on the target's own samples, m."""
     return rmse(played.reading[motion.target], motion.wanted)
 
 
 def stroke(played: Played) -> float:
-    """Return the largest displacement of the reading, m."""
+    """Return the largest absolute displacement of a simulated reading, m."""
     return float(np.abs(played.reading).max())
 
 
 def beyond(played: Played, limits: Limits) -> bool:
-    """Return whether the displacement exceeds its limit."""
+    """Return whether a simulated displacement exceeds its limit."""
     # not <= instead of >, so that nan counts as exceeding
     return not stroke(played) <= limits.farthest
 
 
 @dataclass(frozen=True)
 class Checked:
-    """The self-check of a plan.
+    """The errors of a planned voltage, simulated with the model itself.
 
     Attributes:
         percent: error of the voltage by eq. 15, % of range; nan if the range is zero.
@@ -66,7 +66,7 @@ class Checked:
 
 
 def check(motion: Motion, cut: Played, best: Played) -> Checked:
-    """Compare the readings of a voltage, and of eq. 13 clipped at the limits, with the target."""
+    """Compute the errors of the planned voltage, and of the clipped voltage of the inverse model (eq. 13)."""
     own = motion.target
     percent, clipped = (e_rms_percent(played.reading[own], motion.wanted) for played in (best, cut))
     return Checked(percent, clipped, missed(best, motion), stroke(best))

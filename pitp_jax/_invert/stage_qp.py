@@ -1,4 +1,4 @@
-"""Solve a quadratic programme along a horizon with PIQP, which takes its stages as one sparse programme.
+"""Solve a quadratic programme along a horizon as one sparse programme, with the solver PIQP.
 
     minimise    sum_k  z_k' Q_k z_k / 2 + q_k' z_k + rho (w_k + b_k)^2 / 2
     subject to  z_{k+1} = A_k z_k + e w_k,  z_0 = 0                            (e: the last unit vector)
@@ -19,7 +19,7 @@ _GAP = 1e-5  # of duality gap and residuals, with objective and bounds of order 
 
 
 class StageQP(NamedTuple):
-    """A quadratic programme, stage by stage, of order one: objective, bounds and changes."""
+    """A quadratic programme along a horizon, stage by stage: objective, bounds and changes, all of order one."""
 
     A: Float[np.ndarray, "stages n n"]
     Q: Float[np.ndarray, "stages n n"]
@@ -35,7 +35,7 @@ class StageQP(NamedTuple):
 
 
 def solve_stage_qp(problem: StageQP) -> Float[np.ndarray, "stages n"]:
-    """Solve for all z_k; not finite if the solver fails."""
+    """Solve the programme; return z_k of every stage, not finite if the solver fails."""
     solver, (stages, n) = piqp.SparseSolver(), problem.q.shape
     how = solver.settings
     # a cost much smaller than the bounds took up to 250 iterations instead of 30 without its own scale
@@ -48,7 +48,7 @@ def solve_stage_qp(problem: StageQP) -> Float[np.ndarray, "stages n"]:
 
 
 def _sparse(p: StageQP) -> tuple:
-    """Return P, c, A, b, G and its bounds over the unknowns of all stages."""
+    """Return the sparse matrices and vectors of the programme over the unknowns of all stages."""
     stages, n = p.q.shape
     rows, m = p.G.shape[1], n + 3
     spent, w, a = n, n + 1, n + 2
@@ -72,7 +72,7 @@ def _sparse(p: StageQP) -> tuple:
 
 
 def _diagonal(blocks: Float[np.ndarray, "stages rows columns"], more: int = 0) -> sparse.csc_matrix:
-    """Return the blocks along a diagonal, and so many columns of zeros."""
+    """Place blocks along the diagonal of a sparse matrix, with `more` columns of zeros behind them."""
     stages, rows, columns = blocks.shape
     at, row, column = np.indices(blocks.shape)
     places = (at * rows + row).ravel(), (at * columns + column).ravel()

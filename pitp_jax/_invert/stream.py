@@ -1,4 +1,4 @@
-"""Invert a stream of samples in blocks, with constant memory.
+"""Invert a displacement that arrives in blocks, with constant memory use.
 
     rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
     memory m               carried from window to window
@@ -30,7 +30,7 @@ _ROUNDING = 1e-6  # of the model's unit of force
 
 @dataclass(frozen=True)
 class Piece:
-    """A part of the result, in order and without gaps.
+    """A part of the computed voltage; the parts follow one another without gaps.
 
     Attributes:
         voltage: drive voltage before any limit, V, shape (samples,).
@@ -44,7 +44,7 @@ class Piece:
 def invert_stream(
     model: Model | Fitted, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
 ) -> Iterator[Piece]:
-    """Invert a displacement that arrives in blocks of any sizes and starts at rest (eq. 13, without shooting).
+    """Compute the voltage for a wanted displacement that arrives in blocks and starts at rest, without shooting.
 
     Args:
         model: identified or trained, without effects.
@@ -92,7 +92,7 @@ def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
 
 
 def _whole(blocks) -> Iterator[np.ndarray]:
-    """Yield the blocks, and refuse a missing sample, because one nan would zero a whole window's voltage."""
+    """Yield the blocks; refuse a missing sample, because one nan would zero a whole window's voltage."""
     first = 0
     for block in blocks:
         values = np.asarray(block, np.float64)
@@ -109,7 +109,7 @@ def _piece(model: Model, inverted, kept: slice) -> Piece:
 
 
 def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
-    """Yield the same samples in blocks of `size` or a little more; the last may be shorter."""
+    """Yield the samples regrouped in blocks of at least `size`; the last block may be shorter."""
     waiting, count = [], 0
     for block in blocks:
         waiting.append(block)
@@ -122,7 +122,7 @@ def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
 
 
 def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
-    """Yield rows [x, ..., x^(n)] in order; the last three reaches of samples wait for later samples."""
+    """Yield rows [x, ..., x^(n)] of the samples in order; the last samples wait until later ones arrive."""
     r, held, begun = reach(order), np.zeros(0), False
     for block in blocks:
         held = np.concatenate([held, block])

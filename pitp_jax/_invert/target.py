@@ -1,4 +1,4 @@
-"""Put a target on the clock of the model and of its player; remove the rounding of its file.
+"""Resample a target to the clock of the model or of its player, and remove the rounding of its file.
 
 coarser   a target of a few way points is interpolated by its cubic spline at the model's rate
 slower    the player's rate is below the target's: the target is taken along its quintic spline
@@ -24,7 +24,7 @@ _POWERS, _EXACT = 11, 4.0  # powers of ten that are tried; double-precision roun
 
 
 def at_rate_of_model(target: Target, dt: float) -> Target:
-    """Return a target coarser than the model's step `dt` (s) resampled to that step; otherwise unchanged.
+    """Resample a target that is coarser than the model's sampling interval `dt` (s) to that interval.
 
     Raises:
         BadInput: too many samples would be planned.
@@ -42,7 +42,7 @@ def at_rate_of_model(target: Target, dt: float) -> Target:
 
 
 def at_slower_rate(target: Target, rate: float | None) -> Target:
-    """Return the target resampled at `rate` (Hz) if that is below its own; otherwise unchanged.
+    """Resample a target at `rate` (Hz), if that is below its own rate.
 
     Raises:
         BadInput: too few samples would be left, or too many would be played.
@@ -65,7 +65,7 @@ def at_slower_rate(target: Target, rate: float | None) -> Target:
 
 
 def last_digit(target: Target) -> float:
-    """Return the largest decimal step of which all values are multiples, base unit; 0 without one.
+    """Return the largest power of ten of which all values are multiples, base unit; 0 if there is none.
 
     A step above a thousandth of the range is a choice of the user, not the rounding of a file.
     """

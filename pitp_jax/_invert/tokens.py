@@ -1,4 +1,4 @@
-"""Evaluate a model along a given motion, as pure functions of one recording: equation, memories and tokens.
+"""Evaluate a model along a given motion: its derivatives, memories and coefficients (tokens).
 
 X_i = x^(i) / scale_i,   m = memory(x),   sigma = tokens(S, m)        x by the coordinate of `_model.coordinate`
 
@@ -19,20 +19,20 @@ from .._simulate import ports
 
 
 def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
-    """Compute the scaled x of a displacement (m), with the sensor's effects removed."""
+    """Compute the scaled displacement x of a reading or displacement (m), without the effects of the sensor."""
     x = (to_model(model, displacement, zero) / model.scales.state[0]).astype(displacement.dtype)
     return ports.moves(model, x, dt) if model.effects else x
 
 
 def equation_of(model: Model, x: Float[Array, " time"], dt) -> Float[Array, "time tokens"]:
-    """Compute scaled [x, ..., x^(n)] along a scaled x, shape (time, n + 1)."""
+    """Compute the scaled derivatives [x, ..., x^(n)] of a scaled displacement x, shape (time, n + 1)."""
     steps = jnp.asarray(model.scales.rates, x.dtype) * dt
     units = jnp.concatenate([jnp.ones(1, x.dtype), jnp.cumprod(1 / steps)])  # a power of dt alone would underflow
     return path_derivatives(x, model.order) * units.astype(x.dtype)
 
 
 def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Float[Array, "time features"]:
-    """Compute the encoder's features along scaled [x, ..., x^(n)]: S, then memories settled at x(0)."""
+    """Compute the encoder's features from scaled [x, ..., x^(n)]; before the start x was constant at x(0)."""
     x = equation[:, 0]
     return jnp.concatenate([equation[:, :-1], model.memory.trajectory(x, dt, model.memory.initial(x[0]))], -1)
 
@@ -40,7 +40,7 @@ def features_of(model: Model, equation: Float[Array, "time tokens"], dt) -> Floa
 def memory_along(
     model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
 ) -> Float[Array, "time memory"]:
-    """Compute the memories along a displacement (m), shape (time, memories).
+    """Compute the model's memory states along a displacement (m), shape (time, memories).
 
     Args:
         model: any.
@@ -71,7 +71,7 @@ def _memory_along(model: Model, displacement: Float[Array, " time"], dt, zero: Z
 def tokens_along(
     model: Model | Fitted, displacement: Float[np.ndarray | Array, " time"], *, zero: Zero = "rest"
 ) -> Float[Array, "time tokens"]:
-    """Compute the tokens sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
+    """Compute the coefficients sigma_0 ... sigma_n along a displacement (m), shape (time, n + 1).
 
     Args:
         model: any; effects are not part of the tokens.

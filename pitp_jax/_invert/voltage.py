@@ -1,4 +1,4 @@
-"""Find the voltage of a motion within the limits, by eq. 13, shooting, or the nearest motion.
+"""Find the voltage of a wanted motion within all limits: by the inverse model (eq. 13), shooting, or a search.
 
     r_0 = target,   u_k = inverse(r_k),   r_{k+1} = r_k + target - rollout(u_k)          where no limit is active
     min |target - rollout(u)|^2  over the u within the limits (`nearest_motion`)         otherwise
@@ -31,7 +31,7 @@ _INTERIOR = 1e-6  # an interior point stops closer to a limit than this
 
 @dataclass(frozen=True)
 class Planned(Played):
-    """The solution of eq. 13 clipped at the limits: features, and where force or voltage were infeasible."""
+    """The inverse model's voltage, clipped at the limits, with features and where force or voltage are infeasible."""
 
     features: np.ndarray
     infeasible: np.ndarray
@@ -39,7 +39,7 @@ class Planned(Played):
 
 
 def equation_voltage(motion: Motion, limits: Limits, reference: np.ndarray | None = None) -> Planned:
-    """Solve eq. 13 along a motion or another reference (m), clip it at the limits, and add the ramp down."""
+    """Compute the voltage of a motion, or of a `reference` (m), by the inverse model; clip it, and add a ramp down."""
     model, dt = motion.model, motion.dt
     wanted = motion.displacement if reference is None else reference
     if model.effects:  # the target is a sensor reading, and the equation needs the motion itself
@@ -56,7 +56,7 @@ def equation_voltage(motion: Motion, limits: Limits, reference: np.ndarray | Non
 
 
 def best_voltage(motion: Motion, limits: Limits, cut: Planned, shots: int) -> Played:
-    """Repeat shooting while it helps; if a limit is active, take the nearest motion, started from the best shot."""
+    """Improve the inverse model's voltage by shooting; if a limit is active, search the nearest motion instead."""
     wanted = reference = motion.displacement
     most = _TRAVEL * travel(cut.voltage)
     best = now = cut
@@ -76,7 +76,7 @@ def best_voltage(motion: Motion, limits: Limits, cut: Planned, shots: int) -> Pl
 
 
 def _nearest(motion: Motion, limits: Limits, cut: Planned, best: Planned, most: float) -> Played:
-    """Return the nearest motion of total variation `most`, V; eq. 13's or the best shot if it is not better."""
+    """Search the nearest motion with a total variation of at most `most` (V); return it only if it is better."""
     wish, near = _wish(motion, limits, best.voltage, _HEADROOM * most), best
     for _ in range(_TRIES):
         near = _kept(nearest_motion(motion.model, wish, best.voltage), wish, motion, limits)
@@ -96,7 +96,7 @@ def _nearest(motion: Motion, limits: Limits, cut: Planned, best: Planned, most: 
 
 
 def _wish(motion: Motion, limits: Limits, begun: np.ndarray, budget: float) -> Wish:
-    """Return the target within its horizon; after it the voltage returns to its end below a raised cosine."""
+    """Return the target with its limits; after its end, the voltage range shrinks to the end voltage."""
     last, count, ends = motion.target.stop, len(begun), limits.ends
     cosine = 0.5 * (1 + np.cos(np.pi * np.arange(1, count - last + 1) / (count - last)))
     down = np.append(np.ones(last), np.maximum(cosine, 0.0))
@@ -113,7 +113,7 @@ def _wish(motion: Motion, limits: Limits, begun: np.ndarray, budget: float) -> W
 
 
 def _kept(voltage: np.ndarray, wish: Wish, motion: Motion, limits: Limits) -> Played:
-    """Play a voltage, clipped exactly to the limits."""
+    """Clip a voltage exactly to the limits, and simulate it."""
     # First move outward by the interior point's distance, so that a requested limit is met exactly.
     middle = (limits.low + limits.high) / 2
     outward = middle + (1 + _INTERIOR) * (voltage - middle)

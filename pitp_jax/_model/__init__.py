@@ -1,4 +1,4 @@
-"""The model: one frozen pytree that is identified, trained, simulated, inverted, diagnosed and saved.
+"""The model: one immutable pytree that is identified, trained, simulated, inverted, diagnosed and saved.
 
     F = sigma_off + sum_i sigma_i(S, m) x^(i),    F = map(V),  V = drive(u),    S = [x, ..., x^(n-1)]  (paper, eqs. 2-7)
 

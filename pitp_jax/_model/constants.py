@@ -16,16 +16,16 @@ from jaxtyping import Array, Float
 
 
 class Constants(eqx.Module):
-    """A part of a model whose leaves are constants: floats, or tuples of floats."""
+    """A part of a model that holds only constants: floats, or tuples of floats."""
 
 
 def number(value) -> Any:
-    """Convert one number to a float; a traced value stays unchanged."""
+    """Convert a number to a float; a value that JAX traces stays unchanged."""
     return value if isinstance(value, Tracer) else float(value)
 
 
 def numbers(values) -> tuple:
-    """Convert an array of any shape to tuples of floats; traced values stay unchanged."""
+    """Convert an array of any shape to nested tuples of floats; traced values stay unchanged."""
     return tuple(numbers(v) if np.ndim(v) else number(v) for v in values)
 
 
@@ -44,23 +44,23 @@ class ConstantArray(Constants):
         return np.shape(self.values)
 
     def array(self, dtype) -> Float[Array, "..."]:
-        """Return the numbers as an array of this precision."""
+        """Return the constants as a JAX array of this precision."""
         return jnp.asarray(self.values, dtype)
 
     def __array__(self, dtype=None, copy=None) -> np.ndarray:
-        """Convert to a NumPy array on the host."""
+        """Convert the constants to a NumPy array on the host."""
         return np.asarray(self.values, dtype)
 
 
 def constant_array(values) -> ConstantArray:
-    """Return an array as constants, rounded to float32 as in model files."""
+    """Convert an array to a `ConstantArray`, rounded to float32 as in model files."""
     if isinstance(values, ConstantArray):
         return values
     return ConstantArray(values if isinstance(values, Tracer) else np.asarray(values, np.float32))
 
 
 def as_arguments(tree):
-    """Convert the constants in a tree to NumPy's float64, which a program takes as arguments."""
+    """Convert the constants in a pytree to NumPy float64, so that a compiled program takes them as arguments."""
     return jax.tree.map(_as_arrays, tree, is_leaf=_is_constant)
 
 

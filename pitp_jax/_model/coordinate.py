@@ -1,4 +1,4 @@
-"""The coordinate of every displacement y in commands, pages and exports: 0 at 0 V.
+"""The coordinate of every displacement y in commands, pages and exports: 0 m at 0 V.
 
     y = s x,    s = 1 behind a square (y grows as the actuator extends), the sensor's direction behind a linear input
     reading = direction x + offset
@@ -21,7 +21,7 @@ Zero = (
 
 
 def sign(model: Model) -> Any:
-    """Return s, +1 or -1, which converts the model's displacement to the coordinate, and back."""
+    """Return s = +1 or -1, by which the model's displacement x is multiplied to obtain the coordinate y."""
     return 1.0 if model.input_map.one_sided else model.output.polarity
 
 
@@ -31,14 +31,14 @@ def direction(model: Model) -> float:
 
 
 def from_model(model: Model, x: Values, zero: Zero = "rest") -> Values:
-    """Convert the model's displacement x (m) to the coordinate (m), or relative to another offset."""
+    """Convert the model's displacement x (m) to the coordinate y (m), or to a displacement with another origin."""
     if zero == "sensor":
         return model.output.to_rig(x)
     return sign(model) * x + (0.0 if zero == "rest" else zero)
 
 
 def to_model(model: Model, y: Values, zero: Zero = "rest") -> Values:
-    """Convert a displacement from the coordinate (m), or relative to another offset, to the model's x (m)."""
+    """Convert a displacement (m) in the coordinate y, or with another origin, to the model's displacement x (m)."""
     if zero == "sensor":
         return model.output.to_model(y)
     return sign(model) * (y - (0.0 if zero == "rest" else zero))

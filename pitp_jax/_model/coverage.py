@@ -1,4 +1,4 @@
-"""The part of an input or a target outside the training of a model, and a sentence on it."""
+"""Find the part of an input or a target outside the training data of a model, and describe it in a sentence."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,20 +18,20 @@ _LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as
 
 
 def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
-    """Return the origin with the frequencies and amplitudes that these recordings excite (one sampling interval)."""
+    """Return the origin with the frequencies and amplitudes that these recordings excite; one sampling interval."""
     outputs = [np.interp(r.time, r.time[r.observed], r.displacement[r.observed]) for r in records]
     inputs, dt = [r.voltage for r in records], records[0].dt
     return replace(origin, excited_input=tabulate(inputs, dt), excited_output=tabulate(outputs, dt))
 
 
 def input_beyond(model: Model | Fitted, voltage: np.ndarray, dt: float) -> Beyond:
-    """Return the part of an input (V, shape (time,)) outside the trained frequencies and amplitudes."""
+    """Return the part of a voltage (V, shape (time,)) outside the frequencies and amplitudes of the training data."""
     fitted = fitted_of(model)
     return beyond(fitted.origin.excited_input, voltage, dt, _resonance(fitted))
 
 
 def target_beyond(model: Model | Fitted, displacement: np.ndarray, dt: float) -> Beyond:
-    """Return the part of a target (m, shape (time,)) outside the trained frequencies and amplitudes."""
+    """Return the part of a target (m, shape (time,)) outside the frequencies and amplitudes of the training data."""
     fitted = fitted_of(model)
     return beyond(fitted.origin.excited_output, displacement, dt, _resonance(fitted))
 
@@ -41,12 +41,12 @@ def _resonance(fitted: Fitted) -> float:
 
 
 def input_words(model: Model | Fitted, part: Beyond) -> str:
-    """Return a sentence on the untrained part of an input and the remedy; empty below a tenth of its energy."""
+    """Describe the untrained part of an input, and the remedy; empty below a tenth of the input's energy."""
     return _words("input", part, units_of(model).input)
 
 
 def target_words(model: Model | Fitted, part: Beyond) -> str:
-    """Return a sentence on the untrained part of a target and the remedy; empty below a tenth of its energy."""
+    """Describe the untrained part of a target, and the remedy; empty below a tenth of the target's energy."""
     return _words("target", part, units_of(model).output)
 
 
@@ -73,7 +73,7 @@ def _words(what: str, part: Beyond, unit: Quantity) -> str:
 
 
 def trained_words(model: Model | Fitted) -> str:
-    """Return a sentence on the frequencies and amplitudes of the training; empty if unknown."""
+    """Describe the frequencies and amplitudes of the training data in a sentence; empty if unknown."""
     fitted, lines = fitted_of(model), []
     units, origin = units_of(fitted), fitted.origin
     for what, table, unit in (

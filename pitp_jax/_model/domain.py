@@ -1,4 +1,4 @@
-"""The domain of a model: the sampling and voltages of its records, and the range of its features.
+"""The validity range of a model: sampling interval, voltages and features of its training records.
 
 Its numbers are `constants`: exact on the host, and not parameters of the model. The sampling interval is static: each
 program has its own.
@@ -33,12 +33,12 @@ class Domain(Constants):
     clock: float = eqx.field(converter=number, default=0.0)
 
     def age(self, time: float) -> float:
-        """Return the duration of the session (s) at this time of the clock; 0 for a clock of another kind."""
+        """Convert a time of the records' clock to the time since the session began (s); 0 for another clock."""
         age = float(time) - float(self.clock)
         return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Domain":
-        """Return the domain with voltage range and slew widened to those of these records."""
+        """Return the domain with its voltage range and slew limit widened to those of these records."""
         low, high = self.voltage_range
         return replace(
             self,

@@ -1,4 +1,4 @@
-"""The frequency called "the resonance" of a linear model a_0 x + ... + a_n x^(n) = F.
+"""Find the resonance frequency of a linear model a_0 x + ... + a_n x^(n) = F with any poles.
 
     1. |p| of the pole pair with the largest residue 1 / |a'(p)| in displacement, among those with -Re p / |p| < 0.7
     2. else where the model lags 90 degrees,        Re a(jw) = a_0 - a_2 w^2 + a_4 w^4 - ... = 0
@@ -15,7 +15,7 @@ _RINGS = 0.7  # damping below which a pair has a resonance, sqrt(1/2)
 
 
 def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
-    """Return the dominant frequency (rad/s) for coefficients a_0 ... a_n; 0 if all poles are integrators."""
+    """Return the resonance frequency (rad/s) for coefficients a_0 ... a_n; 0 if all poles are integrators."""
     a = np.nan_to_num(a)  # a diverged model still gets a number; its runs show what is wrong
     roots = np.roots(a[::-1])
     roots = roots[np.abs(roots) > 0]  # an integrator's pole has no damping ratio

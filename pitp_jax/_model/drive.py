@@ -17,7 +17,7 @@ from .._numerics.linear_recurrence import first_order_lags, scalar_recurrence
 
 
 class AbstractDrive(eqx.Module):
-    """A causal, invertible map from the amplifier's voltage to the film's."""
+    """A causal, invertible map from the amplifier's voltage u to the film's voltage V."""
 
     @abstractmethod
     def film(self, voltage: Float[Array, " time"], dt: float, rest: Bool[Array, ""]) -> Float[Array, " time"]:
@@ -25,46 +25,46 @@ class AbstractDrive(eqx.Module):
 
     @abstractmethod
     def lead(self, film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-        """Compute the voltage u for a smooth V by the continuous equation."""
+        """Compute the amplifier's voltage u that gives a smooth film voltage V, by the continuous equation."""
 
     @abstractmethod
     def undo(self, film: Float[Array, " time"], dt: float, first: Float[Array, ""]) -> Float[Array, " time"]:
-        """Compute the voltage u whose `film` is exactly V, sample by sample, given u(0)."""
+        """Compute the amplifier's voltage u whose `film` is exactly V, sample by sample, given u(0)."""
 
 
 class DirectDrive(AbstractDrive):
-    """An ideal amplifier and perfect electrodes."""
+    """An ideal amplifier and perfect electrodes: the film voltage V equals the amplifier's voltage u."""
 
     def film(self, voltage, dt, rest):
-        """Return V = u."""
+        """Return the film voltage V = u."""
         return voltage
 
     def lead(self, film, dt):
-        """Return u = V."""
+        """Return the amplifier's voltage u = V."""
         return film
 
     def undo(self, film, dt, first):
-        """Return u = V."""
+        """Return the amplifier's voltage u = V."""
         return film
 
 
 class ElectrodeLag(AbstractDrive):
-    """One first-order lag with the time constant `exp(log_tau)` in s, learned with the encoder."""
+    """A first-order lag from u to V with the time constant `exp(log_tau)` (s), learned with the encoder."""
 
     log_tau: Float[Array, ""]
 
     def film(self, voltage, dt, rest):
-        """Solve the lag exactly for u linear between samples."""
+        """Compute the film voltage V behind the lag, exactly for u linear between samples."""
         # a record cut from a longer one shows no charging: the film already has the input voltage
         start = jnp.where(rest, 0.0, voltage[0])
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
 
     def lead(self, film, dt):
-        """Compute u = V + tau V', with V' by `slope`."""
+        """Compute u = V + tau V', with the derivative V' by `slope`."""
         return film + jnp.exp(self.log_tau) * slope(film, dt)
 
     def undo(self, film, dt, first):
-        """Solve `first_order_lags` for its input: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
+        """Compute u exactly, sample by sample: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
 
         An error of `first` alternates in sign and decays by dt / (3 tau) a sample.
         """
@@ -77,6 +77,6 @@ class ElectrodeLag(AbstractDrive):
 
 
 def slope(values: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Return the derivative by central differences of 4th order (2nd next to the ends, one-sided 1st at them)."""
+    """Compute the derivative by central differences of 4th order (2nd next to the ends, one-sided 1st at the ends)."""
     inner = (8 * (values[3:-1] - values[1:-3]) - (values[4:] - values[:-4])) / (12 * dt)
     return jnp.asarray(jnp.gradient(values, dt)).at[2:-2].set(inner)

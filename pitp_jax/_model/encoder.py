@@ -1,4 +1,4 @@
-"""Encoders map features (scaled state S and memory m) to the model's tokens (paper, eqs. 4 and 5).
+"""Encoders: networks that compute the model's coefficients (tokens) from its features (paper, eqs. 4 and 5).
 
     sigma_i = sigma_i^0 g(l_i),    sigma_off = l_off,    l = encoder(S, m)
 
@@ -35,10 +35,10 @@ class AbstractEncoder(eqx.Module):
     def __call__(
         self, features: Float[Array, " features"], *, key: PRNGKeyArray | None = None
     ) -> Float[Array, " tokens"]:
-        """Compute the logits, shape (n + 2,); `key` turns dropout on if the encoder has any."""
+        """Compute the logits, shape (n + 2,); `key` turns dropout on."""
 
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
-        """Return fn(features): logits, one row per token and one for the offset, for instants of any shape.
+        """Return a function from features to logits for many instants: one array per token, one for the offset token.
 
         Constant parts are computed once here, not at every step of a scan.
         """
@@ -46,33 +46,33 @@ class AbstractEncoder(eqx.Module):
 
     @abstractmethod
     def scaled(self, factor: float) -> "AbstractEncoder":
-        """Return the encoder with its last layer times `factor`; factor 0 gives the identified linear model."""
+        """Return the encoder with its last layer multiplied by `factor`; factor 0 gives the identified linear model."""
 
     def token_nets(self) -> "AbstractEncoder":
-        """Return 1 for the weights of nets with a parallel polynomial of the same inputs, 0 for all others."""
+        """Mark with 1 the weights of networks that have a parallel polynomial of the same inputs, all others with 0."""
         return jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
 class ConstantEncoder(AbstractEncoder):
-    """An encoder with constant tokens: the identified linear model."""
+    """An encoder whose logits are zero: the coefficients are constant, as in the identified linear model."""
 
     outputs: int = eqx.field(static=True)
 
     def __call__(self, features, *, key=None):
-        """Return zeros for any features."""
+        """Return zero logits for any features."""
         return jnp.zeros((self.outputs,), features.dtype)
 
     def over(self, way="instants"):
-        """Return a function that returns zeros."""
+        """Return a function that gives zero logits for any features."""
         return lambda features: [jnp.zeros_like(features[0])] * self.outputs
 
     def scaled(self, factor):
-        """Return the encoder itself, because zeros stay zeros."""
+        """Return the encoder itself, because its logits are zero for any factor."""
         return self
 
 
 class _Net(eqx.Module):
-    """One hidden tanh layer with a readout of zeros, so that an untrained net does not change the nominal model."""
+    """A hidden tanh layer and an output layer that starts at zero, so that an untrained net changes nothing."""
 
     hidden: eqx.nn.Linear
     readout: eqx.nn.Linear
@@ -88,7 +88,7 @@ class _Net(eqx.Module):
 
 
 def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
-    """Return fn(features): outputs of nets that each see some columns."""
+    """Return a function from features to the outputs of several nets, each of which sees some of the features."""
     widest = max(len(net.hidden.weight) for net, _ in nets)
     layer = as_product if way == "instant" or widest > _WRITTEN_OUT else written_out
     layers = [(layer(*affine(net.hidden)), layer(*affine(net.readout)), columns) for net, columns in nets]
@@ -98,7 +98,7 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 
 
 class CompactEncoder(AbstractEncoder):
-    """Small nets with low-order polynomials, each token limited to its own inputs (preset `default`).
+    """Small nets with low-order polynomials; each coefficient (token) depends on few inputs (preset `default`).
 
         sigma_0, sigma_n           = spring(x)                    + sum_{k=1}^{3} w_k x^k
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
@@ -166,11 +166,11 @@ class CompactEncoder(AbstractEncoder):
         self.bounds = constant_array(wide if bounds is None else bounds)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant."""
+        """Compute the logits of one instant, shape (n + 2,)."""
         return jnp.stack(self.over("instant")(list(features)))
 
     def over(self, way="instants"):
-        """Return the formula of the class for rows of any shape."""
+        """Return the function of the class docstring, from features to logits, for arrays of any shape."""
         n, (low, high) = self.order, self.bounds.array(self.spring_poly.dtype)
         memories, sums = len(low) - n, as_product if way == "instant" else written_out
         moving, past = list(range(n if self.frugal else n + memories)), [0, *range(n, n + fast_memories(memories))]
@@ -204,7 +204,7 @@ class CompactEncoder(AbstractEncoder):
         return logits
 
     def scaled(self, factor):
-        """Return the encoder with readouts, polynomials, memory weights and coupling times `factor`.
+        """Return the encoder with output layers, polynomials, memory weights and coupling multiplied by `factor`.
 
         The logits are linear in all of them except the coupling.
         """
@@ -217,7 +217,7 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Mark the nets of spring and damping, which have parallel polynomials; of a `remainder` all weights."""
+        """Mark with 1 the nets of spring and damping, which have parallel polynomials; of a `remainder` all weights."""
         if self.remainder:
             return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
 
@@ -228,7 +228,7 @@ class CompactEncoder(AbstractEncoder):
 
 
 class AdaptedEncoder(AbstractEncoder):
-    """Adapt an encoder to another day by factors on creep and restoring force that vary over the stroke.
+    """An encoder adapted to another day: creep and restoring force are multiplied by factors that vary with x.
 
         logits(S, m) = inner(S, x + creep_k (m_k - x)),       t = clip(x, low, high) - middle
         all tokens and sigma_off times exp(tilt_0 t),         sigma_0 and sigma_off also times exp(tilt_1 t)
@@ -246,12 +246,12 @@ class AdaptedEncoder(AbstractEncoder):
     reach: ConstantArray = eqx.field(converter=constant_array)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant."""
+        """Compute the logits of one instant, shape (n + 2,)."""
         rows = list(features)
         return jnp.stack(self._tilted(rows[0], list(self.inner(jnp.stack(self._seen(rows)), key=key))))
 
     def over(self, way="instants"):
-        """Return the formula of the class around the inner encoder's."""
+        """Return the function of the class docstring around the inner encoder, from features to logits."""
         inner = self.inner.over(way)
         return lambda features: self._tilted(features[0], list(inner(self._seen(list(features)))))
 
@@ -272,7 +272,7 @@ class AdaptedEncoder(AbstractEncoder):
         return [*tokens, offset * (self.offset * common * spring)]
 
     def scaled(self, factor):
-        """Return the encoder with the inner last layer times `factor`; the factors of the day stay."""
+        """Return the encoder with the inner last layer multiplied by `factor`; the adaptation to the day stays."""
         return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
 
 
@@ -290,12 +290,12 @@ def plain(encoder: AbstractEncoder) -> AbstractEncoder:
 
 
 def fast_memories(count: int) -> int:
-    """Return the number of memories that the offset's net sees, fastest first: all but the two slowest."""
+    """Return the number of memories that the offset token's net sees, fastest first: all but the two slowest."""
     return max(count - 2, 0)
 
 
 def shared_by(order: int) -> np.ndarray:
-    """Mark the logits whose factor is common to all tokens, shape (n + 1,).
+    """Mark the logits that must be multiplied to multiply all tokens by a common factor, shape (n + 1,).
 
     Up to order 2 these are all; from order 3 on the last one, which multiplies the polynomial of all sections.
     """
@@ -303,7 +303,7 @@ def shared_by(order: int) -> np.ndarray:
 
 
 class _Branches(eqx.Module):
-    """One token's network (paper, Fig. 3): a branch per input, fusion, feature enhancement, one output."""
+    """The network of one token (paper, Fig. 3): a branch per input, fusion, feature enhancement, one output."""
 
     branches: eqx.nn.Linear
     fusion: eqx.nn.Linear
@@ -340,7 +340,7 @@ class PaperEncoder(AbstractEncoder):
         self.networks = build(jax.random.split(key, tokens))
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant; the offset logit is always zero."""
+        """Compute the logits of one instant, shape (n + 2,); the logit of the offset token is always zero."""
         count = self.networks.readout.weight.shape[0]
         if key is None:  # no dropout without a key, because a rollout must not draw random numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
@@ -350,7 +350,7 @@ class PaperEncoder(AbstractEncoder):
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):
-        """Return the logits: on a CPU those of many instants by tables (`relu_tables`), all others one by one."""
+        """Return a function from features to logits; for many instants on a CPU it uses tables (`relu_tables`)."""
 
         def one_by_one(*features):
             return vmapped(self, features)
@@ -368,13 +368,13 @@ class PaperEncoder(AbstractEncoder):
         return logits
 
     def scaled(self, factor):
-        """Return the encoder with its readouts, the last linear layer, times `factor`."""
+        """Return the encoder with its last linear layers multiplied by `factor`."""
         last = self.networks.readout
         return eqx.tree_at(lambda e: e.networks.readout, self, jax.tree.map(lambda a: factor * a, last))
 
 
 def _linear(features: int, outputs: int, *, key) -> eqx.nn.Linear:
-    """Return a linear layer in float32, even if JAX's default is float64."""
+    """Build a linear layer in float32, even if JAX's default is float64."""
     return eqx.nn.Linear(features, outputs, dtype=jnp.float32, key=key)
 
 

@@ -1,4 +1,4 @@
-"""The equation of motion (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i(S, m) x^(i)."""
+"""Evaluate the equation of motion (paper, eq. 5 with an offset token): F = sigma_off + sum_i sigma_i x^(i)."""
 
 from jaxtyping import Array
 
@@ -7,7 +7,7 @@ from .rows import Rows
 
 
 def equation_force(model: Model, logits: Rows, equation: Rows) -> tuple[Array, list[Array]]:
-    """Compute the scaled force for these logits and scaled rows x, ..., x^(n); return it and the tokens."""
+    """Compute the scaled force for these logits and the scaled derivatives x, ..., x^(n); return it with the tokens."""
     tokens, force = model.tokens_from(logits)
     for token, row in zip(tokens, equation, strict=True):
         force = force + token * row

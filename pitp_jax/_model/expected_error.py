@@ -1,4 +1,4 @@
-"""The error to expect on a recording that was not used for training, e_rms in % of range.
+"""Predict the error on a recording that was not used for training, e_rms in % of range.
 
 After a cross-validation it is the median error of the recordings that were left out. For an identified model it is the
 ratio of the rms of error and output over the parts left out, times the standard deviation of a motion over its range.
@@ -12,14 +12,14 @@ from .fitted import Fitted
 
 
 class Expected(NamedTuple):
-    """An expected error, e_rms in % of range, and its source in words."""
+    """The error to expect on a new recording, e_rms in % of range, and its source in words."""
 
     percent: float
     source: str
 
 
 def expected_error(model: Fitted, displacement: np.ndarray) -> Expected | None:
-    """Return the expected error for a motion (base unit, shape (time,)); None if nothing was left out."""
+    """Return the expected error for a motion (base unit, shape (time,)); None if no recording was held out."""
     origin, x = model.origin, displacement[np.isfinite(displacement)]
     step = origin.lineage[-1].get("step") if origin.lineage else None
     if step == "fit":

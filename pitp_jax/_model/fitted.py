@@ -22,7 +22,7 @@ from .origin import Origin
 
 @dataclass(frozen=True, eq=False, repr=False, init=False)
 class Fitted:
-    """A model and its origin; it has the model's attributes (`fitted.order`) and replaceable fields.
+    """A model and its origin. It has the attributes of the model (`fitted.order`), and its fields can be replaced.
 
     Attributes:
         model: the pure pytree.
@@ -41,7 +41,7 @@ class Fitted:
     origin: Origin = field(default_factory=Origin)
 
     def __init__(self, model: Model, origin: Origin | None = None, **changes: Any):
-        """Store model and origin; `changes` are fields of the model, as `dataclasses.replace` passes them."""
+        """Store model and origin; `changes` are fields of the model, as `dataclasses.replace` takes them."""
         # A frozen dataclass with its own initialiser sets its fields in this way.
         object.__setattr__(self, "model", replace(model, **changes) if changes else model)
         object.__setattr__(self, "origin", Origin() if origin is None else origin)
@@ -55,7 +55,7 @@ class Fitted:
         return repr(self.model)
 
     def changed(self, factors: np.ndarray) -> "Fitted":
-        """Return the model with nominal coefficients times these factors, shape (n + 1,); the origin stays."""
+        """Return the model with its nominal coefficients multiplied by these factors, shape (n + 1,)."""
         return Fitted(self.model.changed(factors), self.origin)
 
 
@@ -69,7 +69,7 @@ jax.tree_util.register_pytree_with_keys(
 
 
 def model_of(given: Model | Fitted) -> Model:
-    """Return the model without its origin.
+    """Return the bare model of a `Fitted`; a bare model is returned unchanged.
 
     Raises:
         BadInput: the argument is not a model; the message names its type and the accepted types.

@@ -1,4 +1,4 @@
-"""Input maps: convert the voltage u to the equivalent force F, and back.
+"""Input maps: convert the voltage u to the force F in input units (V^2, or V for a linear input), and back.
 
 square:  F = u^2                 u = sqrt(max(F, 0))        (paper, eqs. 6 and 13)
 linear:  F = u                   u = F                      (electronic benchmarks, piezo)
@@ -16,7 +16,7 @@ Values = TypeVar("Values", Array, np.ndarray)  # of any shape, traced or in floa
 
 
 class AbstractInputMap(eqx.Module):
-    """A memoryless, invertible map from voltage to force, for arrays of any shape.
+    """A memoryless, invertible map from a voltage to a force in input units, for arrays of any shape.
 
     Attributes:
         name: in files and options.
@@ -30,11 +30,11 @@ class AbstractInputMap(eqx.Module):
 
     @abstractmethod
     def force(self, voltage: Values) -> Values:
-        """Compute the equivalent force (V^2 or V) of a voltage (V)."""
+        """Convert a voltage (V) to the force in input units (V^2, or V for a linear input)."""
 
     @abstractmethod
     def voltage(self, force: Float[Array, "..."]) -> Float[Array, "..."]:
-        """Compute the non-negative (square) or signed (linear) voltage that gives this force."""
+        """Convert a force in input units to a voltage (V): non-negative behind a square, signed for a linear input."""
 
     @abstractmethod
     def infeasible(self, force: Float[Array, "..."]) -> Bool[Array, "..."]:
@@ -42,12 +42,12 @@ class AbstractInputMap(eqx.Module):
 
 
 class SquareInput(AbstractInputMap):
-    """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible (docs/readings.md: eq. 13)."""
+    """Maxwell stress: F = u^2 (eq. 6); a negative force is infeasible, because no voltage gives it."""
 
     name, unit, one_sided = "square", "V^2", True
 
     def force(self, voltage):
-        """Compute F = u^2 in V^2."""
+        """Compute F = u^2 (V^2)."""
         return voltage * voltage
 
     def voltage(self, force):
@@ -56,25 +56,25 @@ class SquareInput(AbstractInputMap):
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, force, 1.0)), 0.0)
 
     def infeasible(self, force):
-        """Return F < 0, because the square cannot give a negative force."""
+        """Return True where F < 0, because the square of a voltage is never negative."""
         return force < 0
 
 
 class LinearInput(AbstractInputMap):
-    """F = u, for plants whose input is not squared."""
+    """F = u, for actuators whose input is not squared."""
 
     name, unit, one_sided = "linear", "V", False
 
     def force(self, voltage):
-        """Return F = u in V."""
+        """Return F = u (V)."""
         return voltage
 
     def voltage(self, force):
-        """Return u = F in V."""
+        """Return u = F (V)."""
         return force
 
     def infeasible(self, force):
-        """Return False everywhere: every force has a voltage."""
+        """Return False everywhere, because every force has a voltage."""
         return jnp.zeros(jnp.shape(force), bool)
 
 

@@ -1,4 +1,4 @@
-"""Memories: features for the tokens beside the current state S.
+"""Memories: features that summarise the past of the displacement, in addition to the current state S.
 
     none        m = ()
     elapsed     m = t / T                       seconds since the excitation began (paper, eq. 4)
@@ -22,7 +22,7 @@ from .rows import Rows
 
 
 class AbstractMemory(eqx.Module):
-    """Additional states that depend on the displacement x alone, in the model's scaled coordinates."""
+    """Additional states that depend on the past of the displacement x alone, in the model's scaled coordinates."""
 
     @property
     @abstractmethod
@@ -31,21 +31,21 @@ class AbstractMemory(eqx.Module):
 
     @abstractmethod
     def initial(self, x: Float[Array, ""]) -> Float[Array, " memory"]:
-        """Compute the memory of an actuator settled at x (at rest: x = 0), shape (K,)."""
+        """Compute the memory states after a long constant displacement x (at rest: x = 0), shape (K,)."""
 
     @abstractmethod
     def rate(self) -> Callable[[Rows, Array], list[Array]]:
-        """Return fn(memory, x): its time derivatives in 1/s, row by row; constant parts are computed here once."""
+        """Return a function of (memory, x) for the time derivatives of the memory states (1/s), one array each."""
 
     @abstractmethod
     def trajectory(
         self, x: Float[Array, " time"], dt: float, start: Float[Array, " memory"]
     ) -> Float[Array, "time memory"]:
-        """Compute the memory along a known x, linear between samples, in one parallel pass, shape (time, K)."""
+        """Compute the memory states along a known x, linear between samples, in one parallel pass, shape (time, K)."""
 
 
 class NoMemory(AbstractMemory):
-    """No memory: tokens depend on the state only."""
+    """No memory: the coefficients depend on the current state only."""
 
     @property
     def size(self):
@@ -53,20 +53,20 @@ class NoMemory(AbstractMemory):
         return 0
 
     def initial(self, x):
-        """Return an empty vector."""
+        """Return an empty vector, because there are no memory states."""
         return jnp.zeros((0,), jnp.result_type(x))
 
     def rate(self):
-        """Return the function that returns no rows."""
+        """Return a function that gives an empty list, because there are no memory states."""
         return lambda memory, x: []
 
     def trajectory(self, x, dt, start):
-        """Return rows without columns, shape (time, 0)."""
+        """Return an array without columns, shape (time, 0)."""
         return jnp.zeros((x.shape[0], 0), x.dtype)
 
 
 class ElapsedTime(AbstractMemory, Constants):
-    """Time since the excitation started over `horizon` (s): the paper's time input (eq. 4)."""
+    """The time since the excitation started, divided by `horizon` (s): the paper's time input (eq. 4)."""
 
     horizon: float = eqx.field(converter=number)
 
@@ -80,40 +80,40 @@ class ElapsedTime(AbstractMemory, Constants):
         return jnp.zeros((1,), jnp.result_type(x))
 
     def rate(self):
-        """Return the function with the value 1 / T, T the horizon."""
+        """Return a function with the constant value 1 / T, where T is the horizon (s)."""
         return lambda memory, x: [jnp.full_like(x, 1.0 / jnp.asarray(self.horizon, x.dtype))]
 
     def trajectory(self, x, dt, start):
-        """Compute t / T, T the horizon."""
+        """Compute t / T at every sample, where T is the horizon (s), shape (time, 1)."""
         return (start + jnp.arange(x.shape[0], dtype=x.dtype)[:, None] * dt / self.horizon).astype(x.dtype)
 
 
 class FadingMemory(AbstractMemory):
-    """A bank of first-order lags of x with time constants `exp(log_tau)` in s."""
+    """First-order lags of x with the time constants `exp(log_tau)` (s)."""
 
     log_tau: Float[Array, " memory"]
 
     @property
     def size(self):
-        """Return K, the number of time constants."""
+        """Return K, the number of time constants and memory states."""
         return self.log_tau.shape[0]
 
     def initial(self, x):
-        """Return x for every lag, because all have settled."""
+        """Return x for every lag: the values after a long constant displacement x, shape (K,)."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)) * x
 
     def rate(self):
-        """Return the function (x - z_k) / tau_k."""
+        """Return a function of (memory, x) for the derivatives (x - z_k) / tau_k of the lags z_k, 1/s."""
         pace = jnp.exp(-self.log_tau)  # computed outside the function: once for a rollout, not at every step
         return lambda memory, x: [(x - z) * pace[k] for k, z in enumerate(memory)]
 
     def trajectory(self, x, dt, start):
-        """Solve the lags exactly for x linear between samples."""
+        """Compute the lags along x, exactly for x linear between samples, shape (time, K)."""
         return first_order_lags(x, jnp.exp(self.log_tau), dt, start)
 
 
 class RingingMemory(AbstractMemory):
-    """A second mass on a spring, and a bank of lags: eigenfrequency `exp(log_omega)` (rad/s), damping ratio zeta.
+    """A second mass on a spring (`exp(log_omega)` in rad/s, damping ratio zeta), and first-order lags of x.
 
     Its force kappa (r - x) is linear in the memory and in x, so the offset token contains it. A mode within the band
     also acts well below its frequency; without this memory the other parameters would imitate it
@@ -126,21 +126,21 @@ class RingingMemory(AbstractMemory):
 
     @property
     def size(self):
-        """Return 2 for the mass plus the number of time constants."""
+        """Return the number of memory states: 2 for the second mass, and one per time constant."""
         return 2 + self.log_tau.shape[0]
 
     @property
     def ring(self) -> tuple[Array, Array]:
-        """Return eigenfrequency (rad/s) and damping ratio of the second mass."""
+        """Return the eigenfrequency (rad/s) and the damping ratio (below 1) of the second mass."""
         # an overdamped mass would be two more lags, and the closed form's sqrt(1 - zeta^2) would be nan
         return jnp.exp(self.log_omega), jnp.minimum(jnp.exp(self.log_zeta), 0.99)
 
     def initial(self, x):
-        """Return the mass at rest at x, with every lag settled."""
+        """Return the memory states after a long constant x: the second mass rests at x, and every lag equals x."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)).at[1].set(0.0) * x
 
     def rate(self):
-        """Return the function (w v, w (x - r - 2 zeta v)) with v = r' / w, then (x - z_k) / tau_k."""
+        """Return a function for the derivatives w v, w (x - r - 2 zeta v) with v = r' / w, then (x - z_k) / tau_k."""
         # v = r' / w, so that position and speed have similar size and float32 resolves both
         (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
 
@@ -152,6 +152,6 @@ class RingingMemory(AbstractMemory):
         return rates
 
     def trajectory(self, x, dt, start):
-        """Solve mass and lags exactly for x linear between samples."""
+        """Compute mass and lags along x, exactly for x linear between samples, shape (time, K)."""
         lags = first_order_lags(x, jnp.exp(self.log_tau), dt, start[2:])
         return jnp.concatenate([oscillator(x, *self.ring, dt, start[:2]), lags], -1)

@@ -1,4 +1,4 @@
-"""The model: an ODE of order n whose coefficients depend on the current state (paper, eqs. 2-7).
+"""The model: a differential equation of order n whose coefficients depend on the state (paper, eqs. 2-7).
 
     F = sigma_off + sum_{i=0}^{n} sigma_i x^(i),   F = map(V),  V = drive(u)
     sigma = tokens(S, m),   S = [x, x', ..., x^(n-1)]
@@ -45,16 +45,16 @@ class Output(Constants):
     polarity: float = eqx.field(converter=number, default=1.0)
 
     def to_model(self, y):
-        """Convert measured output to displacement from rest."""
+        """Convert a sensor reading to the displacement from the rest position (m)."""
         return self.polarity * (y - self.offset)
 
     def to_rig(self, x):
-        """Convert displacement from rest to the sensor's reading."""
+        """Convert a displacement from the rest position (m) to the sensor's reading."""
         return self.polarity * x + self.offset
 
 
 class Scales(Constants):
-    """Units of the scaled coordinates: x^(i) in m/s^i (n + 1 of them) and force in V^2 (or V).
+    """Units of the scaled coordinates: m/s^i for each derivative x^(i), and V^2 (or V) for the force.
 
     `sections` (order 3 and up): the nominal polynomial's factors (`sections_of`), the units of its variable tokens.
     Its numbers are `constants`: exact on the host, and no parameters of the model. Cast them to a program's precision.
@@ -66,12 +66,12 @@ class Scales(Constants):
 
     @property
     def rates(self) -> list:
-        """Return the factors of dX_i/dt = rates_i X_{i+1}, 1/s."""
+        """Return the factors r_i (1/s) in dX_i/dt = r_i X_{i+1} of the scaled derivatives X_i."""
         return [upper / lower for lower, upper in pairwise(self.state)]
 
 
 class Model(eqx.Module):
-    """A model: nominal coefficients with input map, encoder, memory and effects.
+    """A model of an actuator: nominal coefficients with input map, encoder, memory and effects.
 
     Attributes:
         coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
@@ -95,7 +95,7 @@ class Model(eqx.Module):
     effects: tuple = ()
 
     def __repr__(self) -> str:
-        """Return two lines: the kind of model, and its coefficients."""
+        """Return two lines of text: the kind of model, and its coefficients."""
         part = own_module(self.encoder) or self.encoder
         kind = "identified" if isinstance(part, ConstantEncoder) else f"trained ({type(part).__name__})"
         parts = [f"{self.memory.size} memory states"] if self.memory.size else []
@@ -113,17 +113,17 @@ class Model(eqx.Module):
 
     @property
     def order(self) -> int:
-        """Return the ODE order n."""
+        """Return the order n of the differential equation."""
         return len(self.scales.state) - 1
 
     @property
     def physical_coefficients(self) -> np.ndarray:
-        """Return the nominal a_0 ... a_n in V^2 s^i / m (or V s^i / m), shape (n + 1,)."""
+        """Return the nominal coefficients a_0 ... a_n of sum a_i x^(i) = F in V^2 s^i / m (or V s^i / m)."""
         return np.asarray(self.coefficients, np.float64) * self.scales.force / self.scales.state
 
     @property
     def natural_frequency(self) -> float:
-        """Return the resonance frequency, rad/s (`dominant_frequency`): sqrt(k / m) at order 2.
+        """Return the resonance frequency (`dominant_frequency`), rad/s; at order 2 it is sqrt(k / m).
 
         A pure integrator has none; then the frequency of its identification records is returned.
         """
@@ -132,18 +132,18 @@ class Model(eqx.Module):
 
     @property
     def dt(self) -> float:
-        """Return the sampling interval of the model's records, s."""
+        """Return the sampling interval of the model's training records, s."""
         return float(self.domain.dt)
 
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
-        """Compute the scaled tokens sigma_0 ... sigma_n and the offset token at one instant (S then memory, scaled)."""
+        """Compute the scaled coefficients sigma_0 ... sigma_n and the offset token from the features of one instant."""
         tokens, offset = self.tokens_from(self.encoder(features, key=key))
         return jnp.stack(tokens), offset
 
     def tokens_from(self, logits: Rows | Float[Array, " logits"]) -> tuple[list[Array], Array]:
-        """Compute tokens and offset token, row by row, from an encoder's logits.
+        """Compute the coefficients (tokens) and the offset token from an encoder's logits, one array per token.
 
         Their polynomial is stable (`sections`): from order 3 on the factors act on the nominal's sections, and the
         coefficients follow in proportion.
@@ -159,13 +159,13 @@ class Model(eqx.Module):
         return [self.coefficients[i] * f for i, f in enumerate(factor)], offset
 
     def sampled(self, dt: float, hold: Hold) -> "Model":
-        """Return the model for another sampling interval (s) and hold, with the same coefficients."""
+        """Return the model for another sampling interval (s) and another `hold`, with the same coefficients."""
         domain = replace(self.domain, dt=dt)
         count = substeps_of(self.physical_coefficients, dt)
         return replace(self, substeps=count, hold=hold, domain=domain)
 
     def changed(self, factors: np.ndarray) -> "Model":
-        """Return the model with nominal coefficients times these factors, shape (n + 1,)."""
+        """Return the model with its nominal coefficients multiplied by these factors, shape (n + 1,)."""
         coefficients = np.asarray(self.coefficients, np.float64) * factors  # rounded once, at the end
         return replace(self, coefficients=jnp.asarray(coefficients, self.coefficients.dtype))
 
@@ -182,7 +182,7 @@ def linear_model(
     state_scale: np.ndarray | None = None,
     force_scale: float | None = None,
 ) -> Model:
-    """Build a linear model from coefficients a_0 ... a_n (V^2 s^i / m): constant tokens, no memory, no effects.
+    """Build a linear model sum a_i x^(i) = F from its coefficients a_0 ... a_n (V^2 s^i / m).
 
     Set other parts by `dataclasses.replace(model, encoder=..., memory=..., drive=...)`.
 

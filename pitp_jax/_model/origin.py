@@ -1,4 +1,4 @@
-"""The origin of a model as typed fields, which no compiled program contains (`fitted`)."""
+"""The origin of a model: its data and history as typed fields, which no compiled program contains."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -12,7 +12,7 @@ from .._record.long_record import LongRecord
 
 @dataclass(frozen=True)
 class OutOfFold:
-    """Cross-validation errors of a nominal model on its own records, by octaves of frequency.
+    """Cross-validation errors of a nominal model on its identification records, by octaves of frequency.
 
     Attributes:
         edges_hz: of the bands, one more than those.
@@ -26,7 +26,7 @@ class OutOfFold:
 
 @dataclass(frozen=True, eq=False)
 class Origin:
-    """The data and history from which a model was made.
+    """The data and the history from which a model was made.
 
     Attributes:
         displacement_unit, voltage_unit: units of the user's files.

@@ -1,4 +1,4 @@
-"""Use any Equinox module as an encoder: a user's own map from features to logits.
+"""Use any Equinox module as an encoder: a user's own network from features to logits.
 
     l = factor * module(S, m)         S, m: scaled state and memories, shape (n + K,);  l: logits, shape (n + 2,)
 
@@ -20,7 +20,7 @@ from .encoder import AbstractEncoder, plain
 
 
 class OwnEncoder(AbstractEncoder):
-    """An encoder around any Equinox module; `Model`, `train` and `load` wrap modules automatically.
+    """An encoder around a user's Equinox module; `Model`, `train` and `load` wrap modules automatically.
 
     The module is called as `module(features)` with scaled features of shape (n + K,): the state x, x', ..., x^(n-1),
     then the K memories. It returns n + 2 logits: one per token sigma_0 ... sigma_n, then the offset token. Logits of 0
@@ -36,21 +36,21 @@ class OwnEncoder(AbstractEncoder):
     factor: Float[Array, ""]
 
     def __init__(self, module: Any, factor: Float[Array, ""] | float = 1.0):
-        """Wrap the module and convert its NumPy arrays to JAX arrays."""
+        """Store the user's module, with its NumPy arrays converted to JAX arrays."""
         self.module = jax.tree.map(lambda a: jnp.asarray(a) if isinstance(a, np.ndarray) else a, module)
         self.factor = jnp.asarray(factor, jnp.result_type(float) if isinstance(factor, float) else None)
 
     def __call__(self, features, *, key=None):
-        """Compute the logits of one instant, in the precision of the features."""
+        """Compute the logits of one instant, shape (n + 2,), in the precision of the features."""
         options = {} if key is None or not _takes_key(self.module) else {"key": key}
         return (self.factor * self.module(features, **options)).astype(features.dtype)
 
     def scaled(self, factor):
-        """Return the encoder with its factor times `factor`."""
+        """Return the encoder with its logits multiplied by `factor`."""
         return OwnEncoder(self.module, factor * self.factor)
 
     def token_nets(self):
-        """Return 1 for all weights: a module has no parallel polynomial, but may have as many weights as a net."""
+        """Mark all weights with 1: a module has no parallel polynomial, but may have as many weights as a net."""
         return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
@@ -59,19 +59,19 @@ def _takes_key(module: Any) -> bool:
 
 
 def as_encoder(given: Any) -> Any:
-    """Return a module wrapped as encoder, and an encoder of this package unchanged."""
+    """Wrap a user's Equinox module as an encoder; return an encoder of this package unchanged."""
     wrapped = isinstance(given, AbstractEncoder) or not isinstance(given, eqx.Module)
     return given if wrapped else OwnEncoder(given)
 
 
 def own_module(encoder: AbstractEncoder) -> Any:
-    """Return the user's own module in an encoder; None if it has none."""
+    """Return the user's own module inside an encoder; None for an encoder of this package."""
     inner = plain(encoder)
     return inner.module if isinstance(inner, OwnEncoder) else None
 
 
 def build_own(given: Any, features: int, logits: int, key) -> OwnEncoder:
-    """Build the encoder from a module or from fn(features, logits, key=key) that makes one.
+    """Build an encoder from a user's module, or from a function (features, logits, key=key) that builds one.
 
     Raises:
         BadInput: its logits do not have the shape (logits,), or it does not take that many features.

@@ -23,7 +23,7 @@ T = TypeVar("T")
 
 
 def full_precision(function: Callable[P, T]) -> Callable[P, T]:
-    """Multiply float32 matrices in a function with full precision, whatever the user's default, also when traced.
+    """Make a function multiply float32 matrices with full precision, whatever the user's default.
 
     JAX multiplies float32 matrices in TF32 on recent NVIDIA GPUs, which gave voltage errors of 1e-3 of the largest.
     """
@@ -37,7 +37,7 @@ def full_precision(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def jit(function: Callable[P, T]) -> Callable[P, T]:
-    """Compile by `eqx.filter_jit`: constants of a model are arguments, float32 products have full precision."""
+    """Compile by `eqx.filter_jit`; constants of a model are arguments, and float32 products have full precision."""
     compiled: Any = eqx.filter_jit(full_precision(function))
 
     @wraps(function)
@@ -48,12 +48,12 @@ def jit(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def on_device(values, dtype=None) -> Array:
-    """Copy an array from the host to the device; `jnp.asarray` compiles a program for every shape, 20 ms each."""
+    """Copy an array from the host to the device. `jnp.asarray` would compile a program for every shape (20 ms)."""
     return jax.device_put(np.asarray(values, dtype))
 
 
 def signal(values, dtype, name: str) -> Array:
-    """Convert the signal of one recording to an array of this precision, shape (time,).
+    """Convert one recording's signal to an array of this precision, shape (time,).
 
     Raises:
         BadInput: something else than numbers, or several recordings.
@@ -68,5 +68,5 @@ def signal(values, dtype, name: str) -> Array:
 
 
 def in_double(tree: T) -> T:
-    """Convert the float arrays in a tree to float64; call it under `jax.enable_x64(True)`."""
+    """Convert the float arrays in a pytree to float64; call it under `jax.enable_x64(True)`."""
     return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)

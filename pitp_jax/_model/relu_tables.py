@@ -1,4 +1,4 @@
-"""Evaluate the paper's branches by tables: a ReLU layer of one number and its fusion are piecewise linear.
+"""Evaluate the paper's network by tables: a ReLU layer with one input is piecewise linear.
 
     sum_j W_oj relu(a_j x + b_j) = s_o(k) x + c_o(k)   between the k-th and (k+1)-th of the sorted knots -b_j / a_j
     s_o(k) = sum_{j active} W_oj a_j,                  c_o(k) = sum_{j active} W_oj b_j
@@ -23,7 +23,7 @@ def tables(
     Float[Array, "tokens features pieces width"],
     Float[Array, "tokens features pieces width"],
 ]:
-    """Return the sorted knots, and slope and intercept of every piece (width + 1 of them) in every fusion unit."""
+    """Return the sorted knots, and for every fusion unit the slope and intercept of each of the width + 1 pieces."""
     weight, b = affine(networks.branches)
     a = weight[..., 0]
     tokens, features, width = a.shape
@@ -40,7 +40,7 @@ def tables(
 
 
 def logits_by_tables(networks, features: Float[Array, "features time"]) -> Float[Array, "tokens time"]:
-    """Compute the logits of every instant in blocks, without the offset's."""
+    """Compute the logits of every instant from tables, in blocks of instants, without the offset token's logit."""
     kinds, count = features.shape
     blocks = -(-count // _BLOCK)
     padded = jnp.pad(features, ((0, 0), (0, blocks * _BLOCK - count)))

@@ -1,4 +1,4 @@
-"""Rows: one array per quantity, all of one shape, so that a formula is written once for every shape.
+"""Write a network layer once for scalars, time series and batches: one array per quantity, all of one shape.
 
     y_o = b_o + sum_i W_oi f_i
 
@@ -18,7 +18,7 @@ Rows = Sequence[Array] | Array  # the array's first axis: one quantity each
 
 
 def written_out(weight: Array, bias: Rows) -> Callable[[Rows], list[Array]]:
-    """Return the layer with every sum written term by term."""
+    """Return a function that applies the layer with every sum written term by term."""
 
     def layer(rows: Rows) -> list[Array]:
         outputs = list(bias)
@@ -31,7 +31,7 @@ def written_out(weight: Array, bias: Rows) -> Callable[[Rows], list[Array]]:
 
 
 def as_product(weight: Array, bias: Rows) -> Callable[[Rows], Array]:
-    """Return the layer as one matrix product."""
+    """Return a function that applies the layer as one matrix product."""
 
     def layer(rows: Rows) -> Array:
         sums, start = jnp.tensordot(weight, jnp.asarray(rows), 1), jnp.asarray(bias)
@@ -42,12 +42,12 @@ def as_product(weight: Array, bias: Rows) -> Callable[[Rows], Array]:
 
 
 def affine(layer: eqx.nn.Linear) -> tuple[Array, Array]:
-    """Return weight and bias of a layer."""
+    """Return weight and bias of a linear layer."""
     assert layer.bias is not None  # every layer of these networks has one
     return layer.weight, layer.bias
 
 
 def vmapped(function: Callable[[Array], Array], rows: Rows) -> list[Array]:
-    """Apply a function of one instant's vector to rows of any shape."""
+    """Apply a function of one instant's vector to arrays of any shape, one array per quantity."""
     flat = jnp.stack([row.reshape(-1) for row in rows], -1)
     return [row.reshape(rows[0].shape) for row in jax.vmap(function)(flat).T]

@@ -1,4 +1,4 @@
-"""Keep a token polynomial stable: its factors are the nominal's factors with positive multipliers.
+"""Keep the polynomial of the coefficients stable: its quadratic factors keep positive coefficients.
 
     sum_i sigma_i s^i = sigma_n prod_k (s^2 + p_k s + q_k) [(s + r)]       q_0, p_0, q_1, p_1, ..., r, sigma_n > 0
 
@@ -14,7 +14,7 @@ from .rows import Rows
 
 
 def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
-    """Factor nominal coefficients a_0 ... a_n into (q_0, p_0, q_1, p_1, ..., [r]), slowest pair first.
+    """Factor the polynomial a_0 ... a_n into sections (q_0, p_0, q_1, p_1, ..., [r]), slowest pair first.
 
     The roots must be stable.
     """
@@ -30,7 +30,7 @@ def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
 
 
 def product(values: Rows | Sequence[float]) -> list:
-    """Multiply sections out: return ascending coefficients c_0 ... c_{n-1}, 1 of their polynomial, row by row."""
+    """Multiply sections: return the ascending coefficients of their product polynomial; the highest one is 1."""
     poly: list = [1.0]  # values may be traced rows, which np.polymul does not accept
     pairs = [[*values[k : k + 2], 1.0] for k in range(0, len(values) - 1, 2)]
     for section in pairs + ([[values[-1], 1.0]] if len(values) % 2 else []):

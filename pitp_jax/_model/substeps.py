@@ -1,4 +1,4 @@
-"""Choose the number of RK4 steps per sample of a linear model.
+"""Choose the number of Runge-Kutta (RK4) steps per sample of a linear model.
 
 e^z - R(z) = z^5 / 120 + ...,   z = p h:   a step has a relative error of |z|^5 / 120
 at the resonance errors add up over 1 / (zeta |z|) steps:   error = |z|^4 / (240 zeta) of its range
@@ -16,7 +16,7 @@ _LEAST_DAMPING = 1e-4
 
 
 def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
-    """Return the number of RK4 steps per sample of dt (s) for the coefficients a_0 ... a_n."""
+    """Return the number of Runge-Kutta steps per sample of `dt` (s) for the coefficients a_0 ... a_n."""
     a = np.nan_to_num(a)
     poles = np.roots(a[::-1])
     poles = poles[np.abs(poles) > 0]

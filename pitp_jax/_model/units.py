@@ -1,4 +1,4 @@
-"""The units of a model, from its origin."""
+"""Read the units of a model from its origin."""
 
 from .._table.quantity import Quantity, Units
 from .._table.units import base_unit
@@ -7,12 +7,12 @@ from .model import Model
 
 
 def units_of(given: Model | Fitted) -> Units:
-    """Return the units of a model from its origin; V and m if unknown."""
+    """Return the units of a model's input and displacement from its origin; V and m if unknown."""
     fitted = fitted_of(given)
     origin = fitted.origin
     return Units(Quantity(origin.voltage_unit), Quantity(origin.displacement_unit), fitted.model.input_map.one_sided)
 
 
 def base_units(units: Units) -> Units:
-    """Return the base units of the model's quantities."""
+    """Return the base units (such as V and m) of a model's input and displacement."""
     return Units(Quantity(base_unit(units.records_input.unit)), Quantity(base_unit(units.output.unit)), units.squared)

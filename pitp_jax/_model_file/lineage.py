@@ -1,4 +1,4 @@
-"""The lineage of a model: every step that made it, checksums of its recordings, versions, and its parent.
+"""Record the lineage of a model: every processing step, checksums of its recordings, versions, its parent.
 
     step = {"step", "versions", "parent": digest | null, "records": [{"name", "sha256", "of": "file" | "samples"}]}
 
@@ -26,7 +26,7 @@ from .model_file import digest
 def descended(
     model: Model | Fitted, step: str, records: Sequence[Record], parent: Model | Fitted | None = None
 ) -> Fitted:
-    """Return the model with one step added to its lineage."""
+    """Return the model with one processing step added to its lineage."""
     versions = {
         "pitp_jax": __version__,
         "jax": jax.__version__,
@@ -43,12 +43,12 @@ def descended(
 
 
 def sums(records: Sequence[Record]) -> list[dict]:
-    """Return name and SHA-256 of each recording: of its file if there is one, otherwise of its samples."""
+    """Return name and SHA-256 of each recording: of its file, or of its samples if there is no file."""
     return [_sum(r) for r in records]
 
 
 def was_made_from(model: Model | Fitted, records: Sequence[Record]) -> bool:
-    """Return whether all these recordings were used in a step of the model's lineage."""
+    """Return whether every one of these recordings was used in some step of the model's lineage."""
     seen = {r["sha256"] for entry in fitted_of(model).origin.lineage for r in entry.get("records", ())}
     return bool(seen) and all(one["sha256"] in seen for one in sums(records))
 

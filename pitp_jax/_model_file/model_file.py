@@ -1,4 +1,4 @@
-"""Save and load model files: one format for identified, trained and augmented models, and nothing in it is ever run.
+"""Save and load model files; nothing in a file is ever run as code.
 
     line 1    pitp_jax model 2                  magic and version
     line 2    sha256 <digest of all that follows>
@@ -37,7 +37,7 @@ _DTYPES = {"float16": np.dtype("<f2"), "float32": np.dtype("<f4"), "float64": np
 
 
 def save(path: str | os.PathLike, model: Model | Fitted) -> None:
-    """Write a model file completely or not at all.
+    """Write a model to a file, completely or not at all.
 
     Args:
         path: the file; an existing one is replaced.
@@ -54,7 +54,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
 
 
 def digest(model: Model | Fitted) -> str:
-    """Return the SHA-256 on the second line of the file that `save` would write.
+    """Return the SHA-256 that the second line of the model's file would hold.
 
     Raises:
         BadInput: as `save`.
@@ -67,7 +67,7 @@ def _sum(body: bytes) -> bytes:
 
 
 def _body(fitted: Fitted) -> bytes:
-    """Return the bytes after the digest: header and leaves."""
+    """Return the bytes of a model file after the digest: header and arrays."""
     header, model = describe(fitted), _stored(fitted.model)
     # as `load` will build it, so that a model that could not be read back is refused here
     skeleton = _stored(_skeleton(header, own_module(fitted.model.encoder)))
@@ -92,7 +92,7 @@ def _body(fitted: Fitted) -> bytes:
 
 
 def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitted:
-    """Read a model file; no code from the file is run.
+    """Read a model from a file; no code from the file is run.
 
     Args:
         path: a file that `save` wrote.
@@ -133,13 +133,13 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
 
 
 def is_model_file(path: str | os.PathLike) -> bool:
-    """Return whether a file starts as `save` starts one; the rest may be damaged."""
+    """Return whether a file starts as a model file does; the rest may be damaged."""
     with open(path, "rb") as file:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
 def _checked_bytes(path) -> bytes:
-    """Return everything after the digest, once the digest matches."""
+    """Read all bytes after the digest; refuse the file if the digest does not match."""
     name, path = path, cleaned(path)
     try:
         # a pipe or a device could block forever, or never end
@@ -180,7 +180,7 @@ def _check_version(path, line: bytes) -> None:
 
 
 def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
-    """Build the model of a header with shapes in place of its leaves; nothing is allocated.
+    """Build the model of a header with shapes instead of arrays, so that no memory is allocated.
 
     Constants (scales, domain, sensor offset) are in the header.
     """
@@ -188,7 +188,7 @@ def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
 
 
 def _stored(model: Model) -> Model:
-    """Replace constant arrays by plain ones, which a file stores among its leaves."""
+    """Replace constant arrays by plain arrays, because a file stores them among its arrays."""
     return jax.tree.map(_as_array, model, is_leaf=_is_constant_array)
 
 
@@ -220,14 +220,14 @@ def _refuse(literal: str):
 
 
 def _filled(skeleton: Model, leaves: list, data: memoryview) -> Model:
-    """Return the skeleton filled with the stored leaves and constant arrays."""
+    """Fill a model of shapes with the stored arrays and constant arrays."""
     filled = _fill(_stored(skeleton), leaves, data)
     return jax.tree.map(lambda part, leaf: constant_array(leaf) if _is_constant_array(part) else leaf,
                         skeleton, filled, is_leaf=lambda part: _is_constant_array(part) or _is_shape(part))  # fmt: skip
 
 
 def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
-    """Read the leaves of this skeleton, and refuse other shapes."""
+    """Read the stored arrays into a model of shapes; refuse arrays of other shapes."""
     places = _shapes(skeleton)
     if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
         raise ValueError("its leaves are not those of its parts")

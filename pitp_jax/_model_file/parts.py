@@ -1,4 +1,4 @@
-"""Registry of the parts that a model file may hold, and conversion of a model to plain values and back.
+"""List the parts that a model file may hold, and convert a model to plain values and back.
 
     describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
     build(header)    ->  a model whose leaves are placeholders of the right shapes
@@ -37,7 +37,7 @@ LARGEST = 4096  # no size of a part is near this; building a larger one could ta
 
 @dataclass(frozen=True)
 class Part:
-    """The storage of one kind of part: its class, the numbers that rebuild it, and its constructor.
+    """How a model file stores one kind of part: its class, the numbers that rebuild it, and a constructor.
 
     Attributes:
         cls: the class; a part is stored under this name only if its type is exactly this.
@@ -100,7 +100,7 @@ ENCODERS = {
 
 
 def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
-    """Return the inner encoder's sizes beside its name, in one flat dict."""
+    """Return the inner encoder's name and sizes with those of the adaptation, in one flat dict."""
     inner = _named(ENCODERS, encoder.inner)
     return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
 
@@ -139,7 +139,7 @@ REMOVED = frozenset({
 
 
 def describe(fitted: Fitted) -> dict:
-    """Return the model, without its leaves, and its origin as plain values."""
+    """Convert a model without its arrays, and its origin, to plain values."""
     model, origin = fitted.model, fitted.origin
     return {
         "order": model.order,
@@ -171,7 +171,7 @@ def _effect(effect) -> dict:
 
 
 def _numbers(part: Output | Scales | Domain) -> dict:
-    """Return the fields as numbers, in the order of the class, so that a file read and written keeps its bytes."""
+    """Convert the fields of a part to numbers, in the order of the class, so that files keep their bytes."""
     return {field.name: np.asarray(getattr(part, field.name)).tolist() for field in fields(part)}
 
 
@@ -185,7 +185,7 @@ def _packed(long: LongRecord | None) -> dict | None:
 
 
 def unpacked(stored: dict | None) -> LongRecord | None:
-    """Return the long record of a header; its series are little-endian float32 in base 64."""
+    """Restore the long record from a header, where its series are little-endian float32 in base 64."""
     if stored is None:
         return None
     data = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
@@ -232,7 +232,7 @@ def _bands(stored: dict | None) -> OutOfFold | None:
 
 
 def origin_of(header: dict) -> Origin:
-    """Return the origin in a header, its texts without terminal control characters."""
+    """Restore the origin from a header, with control characters removed from its texts."""
     stored = _without_control(header["origin"])
     return Origin(
         displacement_unit=str(stored["displacement_unit"]),
@@ -255,12 +255,12 @@ def origin_of(header: dict) -> Origin:
 
 
 def _table(stored: dict, name: str) -> Table:
-    """Return a table of excited cells; empty for files without one."""
+    """Restore a table of excited frequencies and amplitudes; empty for files without one."""
     return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
 
 
 def _without_control(value: Any) -> Any:
-    """Return the value with every text in it cleaned, including names of entries."""
+    """Remove control characters from every text in a value, including the keys of dicts."""
     if isinstance(value, dict):
         return {cleaned(key): _without_control(entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
@@ -269,7 +269,7 @@ def _without_control(value: Any) -> Any:
 
 
 def _encoder(described: dict, own: Any) -> Any:
-    """Build an encoder; a user's own module is the given one."""
+    """Build an encoder from its description; `own`: the user's module, if the model has one."""
     settings = dict(described)
     module = settings.pop("module", None)
     if module is not None and own is None:
@@ -281,7 +281,7 @@ def _encoder(described: dict, own: Any) -> Any:
 
 
 def build(header: dict, own: Any = None) -> Model:
-    """Build the model of the header, its leaves as placeholders. `own`: the user's module in its encoder."""
+    """Build the model of a header with placeholder arrays; `own`: the user's module in its encoder."""
     scales = header["scales"]
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
@@ -306,7 +306,7 @@ def build(header: dict, own: Any = None) -> Model:
 
 
 def encode(value: Any) -> Any:
-    """Encode a float that is not finite as {"float": "inf"}, which JSON has no number for, and a tuple as a list."""
+    """Convert a value for JSON: a float that is not finite becomes {"float": "inf"}, a tuple becomes a list."""
     if isinstance(value, dict):
         return {k: encode(v) for k, v in value.items()}
     if isinstance(value, (list, tuple)):
@@ -315,7 +315,7 @@ def encode(value: Any) -> Any:
 
 
 def decode(value: Any) -> Any:
-    """Decode values of `encode`; tuples stay lists."""
+    """Convert values back that `encode` converted; tuples stay lists."""
     if isinstance(value, dict):
         if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
             return float(value["float"])

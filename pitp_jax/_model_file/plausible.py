@@ -1,4 +1,4 @@
-"""Check the numbers of a model file: an intact digest does not prove that they make a model.
+"""Check the numbers of a model file, because an intact digest does not prove that they make a model.
 
 dt > 0,   scales > 0,   polarity = +-1,   all finite except upper limits and bounds;   few parts of reasonable size
 """
@@ -16,7 +16,7 @@ LARGEST_FILE = 1 << 28  # bytes
 
 
 def check_header(header: dict) -> None:
-    """Refuse a header with impossible numbers, before anything is built from it.
+    """Refuse a header with impossible numbers, before any part is built from it.
 
     Raises:
         BadInput: with all such numbers.
@@ -26,7 +26,7 @@ def check_header(header: dict) -> None:
 
 
 def header_problems(header: dict) -> list[str]:
-    """Return the impossible numbers of a header.
+    """Return a text for every impossible number in a header.
 
     Raises:
         KeyError, TypeError, ValueError: entries are missing or of another kind.
@@ -64,7 +64,7 @@ def header_problems(header: dict) -> list[str]:
 
 
 def _history(origin: dict) -> dict[str, bool]:
-    """Return for every entry of the origin whether it has the form that pitp writes."""
+    """Return, for each kind of entry in the origin, whether all entries have the form that pitp writes."""
     training, adapted, lineage = origin["training"] or {}, origin["adapted"], origin["lineage"]
     names = (*origin["identified_on"], *origin["remarks"], *training.get("records", ()))
     numbers = [training.get(key) or 0.0 for key in ("seconds", "creep_held_to_s", "second_mass_hz")]
@@ -90,7 +90,7 @@ def _history(origin: dict) -> dict[str, bool]:
 
 
 def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
-    """Refuse arrays that make no model.
+    """Refuse stored arrays from which no valid model can be built.
 
     Raises:
         BadInput: with all such arrays.
@@ -99,7 +99,7 @@ def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
 
 
 def leaf_problems(names: list[str], arrays: list[np.ndarray]) -> list[str]:
-    """Return arrays that are not finite (bounds may be open), and a nominal without its highest derivative."""
+    """Return a text for every array that is not finite, and for a highest coefficient of zero."""
     problems = []
     for name, array in zip(names, arrays, strict=True):
         good = not np.isnan(array).any() if name.endswith(".bounds") else np.isfinite(array).all()

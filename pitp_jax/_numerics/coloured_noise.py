@@ -1,4 +1,4 @@
-"""Compare hypotheses on one record by likelihood, with coloured residuals.
+"""Compare hypotheses on one record by their likelihood, for coloured (correlated) residuals.
 
     e_t = sum_j phi_j e_{t-j} + w_t,    w white           (autoregression of order P, Yule-Walker on the richest e)
     BIC = T log(sum_t w_t^2) + p log T                    (Schwarz, 1978)
@@ -18,7 +18,7 @@ _ORDER = 6
 
 
 def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function (time, ...) -> (time, ...) that whitens signals with the error's spectrum.
+    """Return a function that whitens signals, shape (time, ...), with the spectrum of an error.
 
     The first P samples are whitened by the Cholesky factor of their covariance, so no sample is lost.
     """
@@ -44,7 +44,7 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
 def project(
     values: Float[np.ndarray, " time"], columns: Float[np.ndarray, "time n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " time"]]:
-    """Fit the columns to the values by least squares; return the factors and the residual."""
+    """Fit `columns` to `values` by least squares; return the coefficients and the residual."""
     # columns of equal size, so that rcond drops directions, not columns of small units
     size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
     factors = np.linalg.lstsq(columns / size, values, rcond=1e-10)[0] / size
@@ -52,14 +52,14 @@ def project(
 
 
 def criterion(residual: Float[np.ndarray, " time"], parameters: int, floor: float = 0.0) -> float:
-    """Return the BIC of a hypothesis with this whitened residual, plus white noise of deviation `floor`."""
+    """Return the Bayesian information criterion (BIC) of a whitened residual, with noise of rms `floor` added."""
     size = len(residual)
     # without the floor a noise-free record would reward any digit of rounding that a parameter removes
     return float(size * np.log(max(residual @ residual + size * floor**2, 1e-300)) + parameters * np.log(size))
 
 
 def block_means(values: np.ndarray, weight: Float[np.ndarray, " time"], size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return weighted means over blocks of `size` samples, shape (blocks, ...), and the mean weight in each.
+    """Return weighted means over blocks of `size` samples, (blocks, ...), and the mean weight of each block.
 
     Samples after the last whole block are dropped.
     """

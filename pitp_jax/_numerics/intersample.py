@@ -15,7 +15,7 @@ _HALF, _BETA = 8, 8.0  # taps on either side, and beta of their Kaiser window
 
 
 def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractions"]:
-    """Return the weights of the samples t - taps / 2 + 1 ... t + taps / 2 at fractions of a sample after t."""
+    """Return the weights of the neighbouring samples for a voltage at fractions of a sample after sample t."""
     f = np.asarray(fractions, np.float64)[None]
     if hold == "zoh":
         return np.concatenate([np.ones_like(f), np.zeros_like(f)])
@@ -30,7 +30,7 @@ def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractio
 
 
 def between(voltage, hold: str, fractions: np.ndarray, xp):
-    """Interpolate the voltage (time,) at every fraction after every sample, shape (time, fractions).
+    """Interpolate a voltage (time,) at every fraction of a sample after each sample, (time, fractions).
 
     Beyond its ends the voltage is constant. `xp` is the array's module: numpy or jax.numpy.
     """

@@ -1,4 +1,4 @@
-"""Lags and oscillators over time, exact for an input that is linear between samples.
+"""Compute first-order lags and oscillators over time, exactly for an input that is linear between samples.
 
 s_{t+1} = q s_t + b_t           as an associative scan: |q| <= 1, about log2(T) steps one after the other
 """
@@ -11,7 +11,7 @@ from jaxtyping import Array, Float
 
 
 def scalar_recurrence(keep: Float[Array, ""], drive: Float[Array, " steps"], start: Float[Array, ""]) -> Array:
-    """Compute all s_t of s_{t+1} = keep s_t + b_t as one associative scan, shape (steps + 1,); for |keep| <= 1."""
+    """Compute s_t of s_{t+1} = keep s_t + b_t in parallel, shape (steps + 1,), for |keep| <= 1."""
 
     def compose(first, second):  # s -> p s + q and then s -> p' s + q' is s -> p'p s + (p'q + q')
         return first[0] * second[0], second[0] * first[1] + second[1]
@@ -28,7 +28,7 @@ _compiled = partial(jax.jit, static_argnames="dt")
 def first_order_lags(
     x: Float[Array, " time"], tau: Float[Array, " memory"], dt: float, start: Float[Array, " memory"]
 ) -> Float[Array, "time memory"]:
-    """Solve z_k' = (x - z_k) / tau_k exactly for x linear between samples.
+    """Solve z_k' = (x - z_k) / tau_k exactly for x linear between samples, shape (time, lags).
 
     With q = exp(-dt/tau):  z_{t+1} = q z_t + (1 - q) x_t + (1 - (1 - q) tau/dt) (x_{t+1} - x_t).
     Blocks of about sqrt(T) samples run side by side, as in `linear_recurrence`.
@@ -49,7 +49,7 @@ def first_order_lags(
 def oscillator(
     x: Float[Array, " time"], omega: Float[Array, ""], zeta: Float[Array, ""], dt: float, start: Float[Array, "2"]
 ) -> Float[Array, "time 2"]:
-    """Solve r'' = w^2 (x - r) - 2 zeta w r' exactly for x linear between samples; rows (r, r' / w).
+    """Solve r'' = w^2 (x - r) - 2 zeta w r' exactly for x linear between samples; columns r and r' / w.
 
     Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w), and the initial deviation decays.
     """
@@ -73,7 +73,10 @@ def oscillator(
 
 
 def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n"]) -> Float[Array, "time n"]:
-    """Compute all s_t with s_{t+1} = step(s_t, b_t), linear, for one s or many; free(k, s): k steps without input."""
+    """Compute s_t of a linear recurrence s_{t+1} = step(s_t, b_t) in parallel blocks.
+
+    `free(k, s)` advances s by k steps without input; s may be one state or many.
+    """
     steps, size = drive.shape
     length = max(int((steps + 1) ** 0.5), 1)
     blocks = -(-steps // length)
@@ -100,16 +103,16 @@ def _blocked(step, free, drive: Float[Array, "steps n"], start: Float[Array, " n
 
 
 def lag_after(start, before, now, tau, dt) -> Array:
-    """Return lags one sample of dt (s) later, x linear from `before` to `now`: one step of `first_order_lags`."""
+    """Return first-order lags of x one sample of dt (s) later, for x linear from `before` to `now`."""
     return lag_followed(start, before, now, *lag_weights(tau, dt))
 
 
 def lag_weights(tau, dt) -> tuple[Array, Array]:
-    """Return the two weights of `lag_followed` for samples of dt (s)."""
+    """Return the two weights that `lag_followed` needs for samples of dt (s)."""
     settle = -jnp.expm1(-dt / tau)
     return settle, 1 - settle * tau / dt
 
 
 def lag_followed(start, before, now, settle, ramp) -> Array:
-    """Return lags one sample later, from weights of the distance to x and of the change of x."""
+    """Return first-order lags one sample later, from the weights of `lag_weights`."""
     return start + settle * (before - start) + ramp * (now - before)

@@ -1,4 +1,4 @@
-"""Minimise a sum of squares C(p) = |r(p)|^2: one damped step, and two ways to choose its damping.
+"""Minimise a sum of squares C(p) = |r(p)|^2 by damped Gauss-Newton steps, with two ways to choose the damping.
 
     (H + lambda D) d = -g,    p_i + d_i <= upper_i          H = J'J,  g = J'r,  D = diag H
 
@@ -39,7 +39,7 @@ _BENT = 0.75  # |a| over |d| (in D), beyond which the quadratic is unreliable
 
 
 class Normal(NamedTuple):
-    """Sum of squares C, half its gradient g, and H."""
+    """The sum of squares C, half its gradient g, and the matrix H = J'J, at some parameters."""
 
     cost: float
     gradient: np.ndarray
@@ -47,12 +47,12 @@ class Normal(NamedTuple):
 
     @classmethod
     def of(cls, cost, gradient, hessian) -> "Normal":
-        """Convert from arrays of any kind to float64."""
+        """Build a `Normal` in float64 from arrays of any kind."""
         return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
 
 
 class Damped:
-    """The damped normal matrix H + lambda D, factored once for every lambda: D^(-1/2) H D^(-1/2) = Q W Q'."""
+    """The damped matrix H + lambda D, factored once for every damping lambda."""
 
     def __init__(self, hessian: np.ndarray):
         # the tiny number prevents a division by zero for a parameter that no residual depends on
@@ -61,7 +61,7 @@ class Damped:
         self._values = np.maximum(values, 0)  # rounding makes the smallest of a singular H negative
 
     def step(self, side: np.ndarray, damping: float) -> np.ndarray:
-        """Solve (H + lambda D) d = -side."""
+        """Solve (H + lambda D) d = -side for the optimiser step d, with lambda = `damping`."""
         values = self._values + damping
         # with small lambda, parameters that the data do not separate make it singular: then the smallest step
         along = np.where(values > _LOST_DIGITS * values.max(), self._vectors.T @ (side / self.root) / values, 0.0)
@@ -75,7 +75,7 @@ def minimise(
     most: int = _MAX_STEPS,
     least: float = 0.0,
 ) -> tuple[np.ndarray, bool]:
-    """Find the parameters of least cost from `params` on, none above `upper`; and whether the tolerance was met.
+    """Find the parameters of least cost, none above `upper`; return them, and whether the tolerance was met.
 
     It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
     with a finite `upper` count as logarithms, whose long steps are shortened.
@@ -93,7 +93,7 @@ def minimise(
 def steps(
     normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray
 ) -> Iterator[tuple[np.ndarray, Normal, bool]]:
-    """Yield parameters, their `Normal` and whether the tolerance is met: at the start and after every accepted step.
+    """Yield (parameters, `Normal`, whether the tolerance is met), at the start and after every accepted step.
 
     It ends when it is met, if the start is not finite, or if no step lowers the cost (met, if little could be gained).
     """
@@ -124,7 +124,7 @@ def steps(
 
 
 def _within(here: Normal, damping: float, room: np.ndarray) -> np.ndarray:
-    """Return the damped step that moves no parameter up by more than its `room`; the others compensate."""
+    """Return the damped step in which no parameter increases by more than its `room`; the others compensate."""
     # at its bound already, while the cost decreases beyond it
     step, fixed = np.zeros(len(room)), (room <= 0) & (here.gradient < 0)
     while not fixed.all():
@@ -147,7 +147,7 @@ class _Trial(NamedTuple):
 def accelerated(
     errors: Callable[[np.ndarray], Blocks], slopes: Callable[[np.ndarray], Blocks], params: np.ndarray
 ) -> Iterator[tuple[np.ndarray, float, bool]]:
-    """Yield parameters, sum of squares and whether no step lowers it: at the start and after every accepted step.
+    """Yield (parameters, sum of squares, whether no step lowers it), at the start and after every accepted step.
 
     Args:
         errors: blocks of residuals r at given parameters.
@@ -167,7 +167,7 @@ def accelerated(
 
 
 def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tuple[_Trial, float]:
-    """Search the damping on a geometric grid from the last one, upwards until a step lowers the cost."""
+    """Search for the damping of lowest cost on a geometric grid, starting at the last damping."""
     trial = cache(trial)  # the search back meets the same grid points again
     best = trial(damping)
     for factor in (1 / _DAMPING_FACTOR, _DAMPING_FACTOR):
@@ -180,7 +180,7 @@ def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tu
 
 
 def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float], _Trial]:
-    """Return fn(damping): the step from `params`, and its cost."""
+    """Return a function that computes the optimiser step from `params`, and its cost, for a damping."""
     hessian = np.sum([_gram(j) for j in jacobian], axis=0)
     if not np.isfinite(hessian).all():  # an unstable run overflowed, so no step from here is reliable
         return lambda damping: _Trial(np.inf, params, here)
@@ -208,7 +208,7 @@ def _cost(blocks: Blocks) -> float:
 
 
 def _pull(jacobian: Blocks, blocks: Blocks) -> np.ndarray:
-    """Return J'r, summed over the blocks."""
+    """Compute the gradient J'r, summed over blocks of residuals."""
     products = [_xp(j).tensordot(b, j, np.ndim(b)) for j, b in zip(jacobian, blocks, strict=True)]
     return np.sum([np.asarray(p, np.float64) for p in products], axis=0)
 
@@ -219,5 +219,5 @@ def _gram(slopes) -> np.ndarray:
 
 
 def _xp(array):
-    """Return the array's own module, so that a block stays on its device, in its own precision."""
+    """Return the module of an array (numpy or jax.numpy), so that it stays on its device in its precision."""
     return np if isinstance(array, np.ndarray) else jnp

@@ -1,4 +1,4 @@
-"""Estimate the noise spectrum of a residual whose model error and input have lines, by lower quartiles.
+"""Estimate the noise spectrum of a residual that also has spectral lines, by lower quartiles.
 
     P(f) = S(f) lower quartile over a band's bins of |E|^2 / (0.2877 S)
 
@@ -16,7 +16,7 @@ _NEAR = 0.25  # in ln f: range of bins for the colour at f, a quarter of a band'
 
 
 def band_edges(samples: int, dt: float) -> np.ndarray:
-    """Return band edges (Hz) from 0 to the Nyquist frequency, at least 24 bins and a fifth of the frequency wide."""
+    """Return band edges (Hz) from 0 to the Nyquist frequency; bands have at least 24 bins and a fifth of f."""
     width, top = _BINS / (samples * dt), 0.5 / dt
     edges = [0.0]
     while edges[-1] + width < top:
@@ -27,7 +27,7 @@ def band_edges(samples: int, dt: float) -> np.ndarray:
 
 
 def periodogram(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return frequencies (Hz) and one-sided density (per Hz) of the tail, without those of its mean."""
+    """Return frequencies (Hz) and the one-sided density (per Hz) of the last 60 % of a residual."""
     tail = error[int(0.4 * len(error)) :]
     seen = counts[int(0.4 * len(error)) :]
     tail = tail - tail[seen].mean() if seen.any() else tail
@@ -37,13 +37,13 @@ def periodogram(error: np.ndarray, counts: np.ndarray, dt: float) -> tuple[np.nd
 
 
 def band_levels(error: np.ndarray, counts: np.ndarray, dt: float, edges: np.ndarray) -> np.ndarray:
-    """Return the one-sided density (per Hz) of every band in one record's residual."""
+    """Return the one-sided noise density (per Hz) of one record's residual in every band."""
     power = periodogram(error, counts, dt)
     return levels_of(*power, edges, colour_of([power]))
 
 
 def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
-    """Return S(f) up to a factor: lower quartiles over all records' bins near a frequency, log-interpolated."""
+    """Return the shape S(f) of the noise spectrum as a function of frequency (Hz), from all records."""
     f, p = (np.concatenate(v) for v in zip(*powers, strict=True))
     order = np.argsort(f)
     place, p = np.log(f[order]), p[order]
@@ -56,7 +56,7 @@ def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
 
 
 def levels_of(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
-    """Return the density of every band from its bins and the colour."""
+    """Return the noise density of every band, from its bins and the shape `colour` of the spectrum."""
     shape, levels = colour(frequency), []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         here = (frequency >= low) & (frequency < high)

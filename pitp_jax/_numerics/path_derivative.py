@@ -1,4 +1,4 @@
-"""Differentiate a traced path: the spline of `spline_derivative` as products with constant matrices.
+"""Differentiate a sampled path in a traced program, by products with constant matrices.
 
     x^(i)_t dt^i = sum_s W_i(s) x_{t+s},  |s| <= R       W: the spline's response to a single sample
     within R samples of an end, and for a short path: rows of the spline's own matrix
@@ -26,7 +26,7 @@ def _matrix(count: int, order: int) -> Float[np.ndarray, "count count order"]:
 
 @lru_cache
 def _band(order: int) -> Float[np.ndarray, "window block order"]:
-    """Return the matrix from the samples of a block and R on either side to the block's derivatives."""
+    """Return the matrix from a block of samples, with R more on either side, to the derivatives in the block."""
     r = reach(order)
     taps = inner(np.eye(1, 4 * r + 1, 2 * r)[0], 1.0, order)[::-1, 1:]  # by s = -R ... R
     band = np.zeros((_BLOCK + 2 * r, _BLOCK, order))
@@ -36,7 +36,7 @@ def _band(order: int) -> Float[np.ndarray, "window block order"]:
 
 
 def path_derivatives(x: Float[Array, " time"], order: int) -> Float[Array, "time tokens"]:
-    """Differentiate a whole path: [x, x' dt, ..., x^(order) dt^order].
+    """Differentiate a whole path; return [x, x' dt, ..., x^(order) dt^order], shape (time, order + 1).
 
     Raises:
         BadInput: fewer samples than the order needs.

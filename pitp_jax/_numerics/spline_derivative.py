@@ -1,4 +1,4 @@
-"""Differentiate a sampled path by recursive filters, equal to an interpolating spline away from its ends.
+"""Differentiate a sampled path by recursive filters that equal an interpolating spline away from the ends.
 
     x = b * c,   x^(i)_t = dt^-i sum_j c_{t-j} B^(i)(j)              B: B-spline of odd degree, b_j = B(j)
     c = g (forward then backward) of y_t = x_t + sum_k p_k y_{t-k},  poles z of b inside the unit circle (Unser, 1993)
@@ -19,7 +19,7 @@ from .._errors import BadInput
 
 
 def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
-    """Differentiate a sampled path: [x, x', ..., x^(order)], shape (T, order + 1), by an interpolating spline."""
+    """Differentiate a sampled path by an interpolating spline; return [x, ..., x^(order)], (T, order + 1)."""
     # odd, so that knots are samples; at least order + 3, so that x^(order) itself is twice differentiable
     degree = 2 * ((order + 3) // 2) + 1
     if len(x) <= degree:
@@ -30,7 +30,7 @@ def derivatives(x: np.ndarray, dt: float, order: int) -> np.ndarray:
 
 
 class _Spline(NamedTuple):
-    """Gain g and denominator of the filter, B^(i)(-j) for j = -m ... m and i = 1 ... order, and the reach R."""
+    """The filter of a spline: gain, denominator, the B-spline's derivatives at the samples, and the reach R."""
 
     gain: float
     recursion: np.ndarray
@@ -57,7 +57,7 @@ def reach(order: int) -> int:
 
 
 def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndarray, "kept tokens"]:
-    """Differentiate the inner samples R ... T - R - 1: [x, ..., x^(order)]."""
+    """Differentiate the samples R ... T - R - 1 of a path; return [x, x', ..., x^(order)]."""
     s = _spline(order)
     half, kept = s.slopes.shape[1] // 2, len(x) - 2 * s.reach
     # the stable half of 1 / b forward in time, the other half backward; both start from zero, hence R
@@ -78,7 +78,7 @@ def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndar
 
 
 def fast_derivatives(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndarray, "time tokens"]:
-    """Differentiate a whole path: [x, x', ..., x^(order)], as `derivatives`."""
+    """Differentiate a whole path as `derivatives`, but faster; return [x, x', ..., x^(order)]."""
     r = reach(order)
     if len(x) <= 6 * r:  # the two end pieces of 3 R are then the whole path
         return derivatives(x, dt, order)

@@ -7,5 +7,5 @@ from jaxtyping import Array
 
 
 def where(condition: Any, x: Any, y: Any) -> Array:
-    """Return x where the condition holds, otherwise y, broadcast to one shape."""
+    """Return x where the condition is true, otherwise y, broadcast to one shape."""
     return cast(Array, jnp.where(condition, x, y))

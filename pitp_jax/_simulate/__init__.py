@@ -1,4 +1,4 @@
-"""Simulation: computes the displacement of a model under a voltage (paper, eq. 7).
+"""Simulate a model: compute its displacement under a voltage (paper, eq. 7).
 
     x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4, tokens frozen over half a step ahead
 

@@ -1,4 +1,4 @@
-"""Fast rollout: the RK4 step of `decoder` over rows of records.
+"""Simulate many records at once, faster than `decoder`, by the same Runge-Kutta step over arrays of records.
 
     s_{t+1} = s_t + h/6 (k_1 + 2 k_2 + 2 k_3 + k_4),   tokens frozen at the drifted midpoint
 
@@ -33,7 +33,7 @@ from .decoder import (
 def fast_rollout(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """Compute the scaled states at every sample of every record, as `decoder.rollout_batch`.
+    """Simulate all records; return the scaled states at every sample, equal to `decoder.rollout_batch`.
 
     Models with effects, or with an encoder too large to write out, use `rollout_batch` itself.
     """
@@ -48,18 +48,18 @@ def fast_rollout(
 def free_runs(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> tuple[Float[Array, "records time state"], Float[Array, "records time"]]:
-    """Compute the scaled states and the sensor's scaled readings of every record, in one program."""
+    """Simulate all records; return their scaled states and the sensor's scaled readings, in one program."""
     states = fast_rollout(model, voltage, dt, start)
     return states, jax.vmap(lambda s: ports.readings(model, s))(states)
 
 
 def in_rows(model: Model) -> bool:
-    """Return whether a model's records can run as rows: no effects, and a small encoder."""
+    """Return whether a model can be simulated for many records in one array: no effects, a small encoder."""
     return not model.effects and isinstance(plain(model.encoder), CompactEncoder | ConstantEncoder)
 
 
 def steps_at_once() -> int:
-    """Return how many samples one iteration of a rollout's loop takes: on a GPU each iteration costs some 10 us."""
+    """Return the number of samples per iteration of a simulation's loop; on a GPU each iteration costs 10 us."""
     return 1 if jax.default_backend() == "cpu" else 8
 
 
@@ -70,7 +70,7 @@ def rows_rollout(
     start: Float[Array, "records state"],
     unroll: int | None = None,
 ) -> Float[Array, "records time state"]:
-    """Roll out from film voltages; coefficients and an adapted encoder's factors may differ between records.
+    """Simulate all records from film voltages; coefficients may differ between records.
 
     The tables then have a last axis for the records. `unroll`: samples per iteration, by default `steps_at_once`.
     """

@@ -1,4 +1,4 @@
-"""Determine the initial state, sensor offset and direction of a record with a model, from its first samples.
+"""Determine a record's initial state, sensor offset and sensor direction with a model, from its first samples.
 
     rest     x(0) = 0, uncharged                         offset: the level of the first samples
     held     tokens(x) x + offset = F(u(0)), memories settled there       offset: mean of y - d x
@@ -49,7 +49,7 @@ _EXPLAINED = 0.2  # fraction of the first samples' motion that a model may miss 
 def held_states(
     model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
 ) -> Float[Array, "records state"]:
-    """Solve for states settled at these voltages; nan if no equilibrium lies within ten scales.
+    """Solve for the states in equilibrium at these voltages; nan if none lies within ten scaled displacements.
 
     At an equilibrium, one decoder step from (x, 0, ...) does not change x^(n-1), and the sign of the change reverses
     there.
@@ -81,7 +81,7 @@ def held_states(
 
 @jit
 def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, age: Float[Array, " records"]):
-    """Run every record from rest and from held: [(states, readings), (states, readings)]."""
+    """Simulate every record from rest and from the equilibrium at u(0); return (states, readings) of both."""
     starts = jax.vmap(lambda a: rest_state(model, a))(age), held_states(model, voltage[:, 0], dt, age)
     return [(s, jax.vmap(lambda r: ports.readings(model, r))(rollout_batch(model, voltage, dt, s))) for s in starts]
 
@@ -89,7 +89,7 @@ def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, 
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
-    """Return how every record starts, and its state if at rest or held (None: moving)."""
+    """Return how each record starts, and its initial state if it starts at rest or in equilibrium."""
     dtype, size = model.coefficients.dtype, min(_AHEAD, max(r.samples for r in records))
     records = [beginning_of(r, _AHEAD, _span(model, r)) for r in records]
     # Nothing changes while input and reading are constant, so a run from the end of that stretch equals the whole run.
@@ -111,13 +111,13 @@ def beginnings(
 
 
 def _span(model: Model, record: Record) -> float:
-    """Return the range of the inputs that the model was made with, V; the record's own if it is not known."""
+    """Return the voltage range of the model's training records, V; if unknown, the range of this record."""
     low, high = model.domain.voltage_range
     return high - low if np.isfinite(high - low) and high > low else float(np.ptp(record.voltage))
 
 
 def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], begin: int, settled: bool) -> Beginning:
-    """Choose the initial state whose run leaves the smallest residual of the first samples, with offset and direction.
+    """Choose the initial state whose simulation fits the first samples best, with sensor offset and direction.
 
     Args:
         model: used for the runs.
@@ -169,7 +169,7 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
 
 
 def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> list[Beginning]:
-    """Give held records the offset of the set's records at rest; `free` marks those that keep their own.
+    """Give records that start at a held voltage the sensor offset of records at rest, if it is plausible.
 
     x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
 
@@ -189,6 +189,6 @@ def with_zero_at_rest(records: Sequence[Record], begun: Sequence[Beginning]) -> 
 
 
 def first_level(record: Record) -> float:
-    """Return y(0) from the window with the smallest standard error."""
+    """Return the first reading y(0), estimated in the window with the smallest standard error."""
     values, errors = first_states(record)
     return float(values[np.argmin(errors[:, 0]), 0])

@@ -1,4 +1,4 @@
-"""The decoder: simulate the model under a voltage (paper, eq. 7).
+"""Simulate a model under a voltage by Runge-Kutta steps (the paper's decoder, eq. 7).
 
     tokens frozen over a step of size h:   x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4
     tokens read at the state drifted by h/2: x^(i) + h/2 x^(i+1) for i < n-1, memories likewise, x^(n-1) as it is
@@ -31,39 +31,39 @@ UNROLLED = 4  # substeps written out one by one; 50 of them took minutes to comp
 
 
 def scaled_force(model: Model, voltage: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Compute the force of a voltage, over force_scale."""
+    """Convert a voltage to the scaled force (the force over `force_scale`)."""
     return model.input_map.force(voltage) / jnp.asarray(model.scales.force, voltage.dtype)
 
 
 def film_voltage(model: Model, force: Float[Array, "..."]) -> Float[Array, "..."]:
-    """Compute the film voltage (V) that gives a scaled force."""
+    """Convert a scaled force to the film voltage (V) that gives it."""
     return model.input_map.voltage(force * jnp.asarray(model.scales.force, force.dtype))
 
 
 def stage_fractions(model: Model) -> Float[np.ndarray, " stages"]:
-    """Return the stage times of a rollout as fractions of a sample: 2 substeps + 1, from 0 to 1."""
+    """Return the times at which a step needs the voltage, as fractions of a sample: 2 substeps + 1, from 0 to 1."""
     return np.arange(2 * model.substeps + 1) / (2 * model.substeps)
 
 
 def stage_voltages(model: Model, film: Float[Array, " time"]) -> Float[Array, "time stages"]:
-    """Interpolate the film voltage at start, middle and end of every substep: 2 substeps + 1 stages."""
+    """Interpolate the film voltage at start, middle and end of every substep, shape (time, 2 substeps + 1)."""
     return between(film, model.hold, stage_fractions(model), jnp)
 
 
 class Motion(NamedTuple):
-    """Constants of the motion, computed before a scan: dX_i/dt over X_{i+1}, and the memory's rate."""
+    """Constants of a simulation: the factors in dX_i/dt = rates_i X_{i+1} (1/s), and the memories' derivative."""
 
     rates: list[Array]
     memory: Callable[[Rows, Array], list[Array]]
 
 
 def motion_of(model: Model) -> Motion:
-    """Return the constants in the model's precision, because NumPy's float64 scales would promote every step."""
+    """Return the constants of a simulation in the model's precision; float64 would promote every step."""
     return Motion(list(jnp.asarray(model.scales.rates, model.coefficients.dtype)), model.memory.rate())
 
 
 def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
-    """Return the values that a step freezes: sigma_0 ... sigma_{n-1}, 1 / sigma_n, offset.
+    """Return the values that stay constant over a time step: sigma_0 ... sigma_{n-1}, 1 / sigma_n, offset token.
 
     The reciprocal is stored because a division in every stage would cost a kernel.
 
@@ -74,7 +74,7 @@ def held(tokens: Rows, offset: Array, together: bool = True) -> list[Array]:
 
 
 def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: float) -> State:
-    """Return the increment of one RK4 step of length h (s) with the frozen values of `held`.
+    """Compute the change of the state over a Runge-Kutta step of h (s), with the constant values of `held`.
 
     `state`: S then memory, scaled, as rows (kernels of their own, for a scan) or as one array (to differentiate).
     """
@@ -98,12 +98,12 @@ def runge_kutta(motion: Motion, state: State, frozen: Rows, forces: Rows, h: flo
 
 
 def moved(state: State, by: float, slope: State) -> State:
-    """Return the state plus `by` times its rate of change."""
+    """Return the state plus `by` (s) times its rate of change."""
     return jax.tree.map(lambda a, b: a + by * b, state, slope)
 
 
 def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
-    """Return the state half a step later as far as it is independent of the force: all but x^(n-1) has drifted."""
+    """Return the state half a time step later, except x^(n-1), whose change depends on the force."""
     n, still, half = len(motion.rates), state[len(motion.rates) - 1], [h / 2 * rate for rate in motion.rates]
     # Not h/2 (rate x'), which k2 contains too: the shared value would become a kernel, 3 to 10 ms per 10,000 steps.
     drifted = [x + by * v for x, by, v in zip(state[: n - 1], half, state[1:n], strict=False)]
@@ -111,14 +111,14 @@ def midpoint(motion: Motion, state: Rows, h: float) -> list[Array]:
 
 
 def frozen_increment(model: Model, state: Float[Array, " state"], forces: tuple, h: float) -> Float[Array, " state"]:
-    """Compute the increment of one step, with tokens at the drifted midpoint."""
+    """Compute the change of the state over a time step, with coefficients (tokens) of the predicted midpoint."""
     constant = motion_of(model)
     seen = jnp.stack(midpoint(constant, list(state), h))
     return runge_kutta(constant, state, held(*model.tokens_from(model.encoder(seen)), False), forces, h)
 
 
 def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
-    """Advance one sample along its stages: one(state, three of them) for every substep."""
+    """Advance one sample: apply `one`(state, three stage values) for every substep."""
     count = len(stages) // 2
     if count > UNROLLED:  # a loop, because hundreds of substeps written out take minutes to compile
         threes = stages[2 * np.arange(count)[:, None] + np.arange(3)]
@@ -129,12 +129,12 @@ def along(one: Callable, state, stages: Float[Array, "stages *shape"]):
 
 
 def step(model: Model, state: Float[Array, " state"], stages: Float[Array, " stages"], dt: float):
-    """Advance one sample along its stage voltages: `substeps` RK4 steps, with new tokens at each."""
+    """Advance the state by one sample along its stage voltages, in `substeps` Runge-Kutta steps."""
     return along(lambda s, volts: substep(model, s, volts, dt / model.substeps), state, stages)
 
 
 def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"], h: float, logits=None):
-    """Take one RK4 step of length h (s) along three stage voltages, with the encoder's logits or given ones.
+    """Advance the state by one Runge-Kutta step of h (s), along its three stage voltages.
 
     Every effect's force is frozen with the tokens, and its states advance after the step.
     """
@@ -155,7 +155,7 @@ def substep(model: Model, state: Float[Array, " state"], volts: Float[Array, "3"
 
 
 def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Float[Array, " state"]:
-    """Return the scaled state of an actuator at rest, at an age of the session in s.
+    """Return the scaled state of an actuator at rest, at this time since the session started (s).
 
     Args:
         model: any.
@@ -174,24 +174,24 @@ def rest_state(model: Model | Fitted, age: float | Float[Array, ""] = 0.0) -> Fl
 
 
 def at_rest(model: Model, start: Float[Array, "*records state"]) -> Bool[Array, "*records"]:
-    """Return which starts are at rest (x = 0 without motion); the film is then uncharged, otherwise settled."""
+    """Return True for initial states at rest (S = 0); their film is uncharged, otherwise it is charged to u(0)."""
     return ~jnp.any(start[..., : model.order], axis=-1)
 
 
 def still_state(model: Model, x, voltage, age) -> Float[Array, " state"]:
-    """Return the state of an actuator settled at scaled displacement x under a voltage."""
+    """Return the state in equilibrium at scaled displacement x, after a long time at a voltage."""
     return settled_state(model, jnp.zeros(model.order, x.dtype).at[0].set(x), x, voltage, age)
 
 
 def settled_state(model: Model, state: Float[Array, " order"], level, voltage, age) -> Float[Array, " state"]:
-    """Complete S by memory and effects settled at scaled displacement `level` under a voltage."""
+    """Append to S the memory and effect states after a long time at scaled displacement `level` and a voltage."""
     return jnp.concatenate([state, model.memory.initial(level), ports.initial(model, level, voltage, age)])
 
 
 def rollout(
     model: Model | Fitted, voltage: Float[Array, " time"], dt: float, start: Float[Array, " state"]
 ) -> Float[Array, "time state"]:
-    """Simulate one record: return scaled states at every sample of a voltage u, row 0 = `start`; vmap for more.
+    """Simulate one record; return the scaled states at every sample of a voltage u, the first one = `start`.
 
     A start at x = 0 without motion is rest: the film is uncharged. For any other start the film is settled at u(0).
 
@@ -224,5 +224,5 @@ def rollout(
 def rollout_batch(
     model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
 ) -> Float[Array, "records time state"]:
-    """Simulate records side by side, compiled."""
+    """Simulate several records side by side, as one compiled program."""
     return eqx.filter_vmap(rollout, in_axes=(None, 0, None, 0))(model, voltage, dt, start)

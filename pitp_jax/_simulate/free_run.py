@@ -1,4 +1,4 @@
-"""Run a model freely under a voltage, as a pure function of one recording for tracing, gradients and batches.
+"""Simulate a model under a voltage, as a pure function of one recording for tracing, gradients and batches.
 
 y = s scale_0 reading(rollout(u)),    s: sign of the displacement's coordinate (`_model.coordinate`)
 
@@ -22,7 +22,7 @@ def free_run(
     voltage: Float[np.ndarray | Array, " time"],
     state: Float[np.ndarray | Array, " state"] | None = None,
 ) -> Float[Array, " time"]:
-    """Compute the displacement (m) under a voltage (V), sampled at the model's own interval; `jax.vmap` for more.
+    """Compute the displacement (m) under a voltage (V), sampled at the model's own sampling interval.
 
     Args:
         model: any: identified, trained, with effects.

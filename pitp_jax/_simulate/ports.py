@@ -1,4 +1,4 @@
-"""Apply a model's effects within one decoder step, each at its port, and advance their states.
+"""Apply the effects of a model within one time step, each at its port, and advance their states.
 
     u --IN--> V --map--> F --SQ--> coupled force;   tokens, offset --K, C, M, T--> frozen equation;   x --OUT--> y
 
@@ -21,17 +21,17 @@ _NEWTON = 4  # steps to the force of a term that depends on it
 
 
 def drives(model: "Model") -> list[Effect]:
-    """Return the effects on the voltage that act sample by sample, in order."""
+    """Return the effects on the voltage that act sample by sample (no delays), in the order of the model."""
     return [e for e in model.effects if e.port == "IN" and not e.delays]
 
 
 def sensors(model: "Model") -> list[Effect]:
-    """Return the effects on the reading, in order."""
+    """Return the effects on the sensor's reading, in the order of the model."""
     return [e for e in model.effects if e.port == "OUT"]
 
 
 def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, " own"]]:
-    """Split the states into every effect's own."""
+    """Split the vector of effect states into one vector per effect."""
     parts, first = [], 0
     for effect in model.effects:
         parts.append(states[first : first + effect.states])
@@ -40,7 +40,7 @@ def split(model: "Model", states: Float[Array, " states"]) -> list[Float[Array, 
 
 
 def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " states"]:
-    """Return the initial states of all effects at X under `voltage` (0 at rest), for age and reach of the session."""
+    """Return the initial states of all effects at displacement X and a voltage (0 at rest)."""
     parts = [jnp.zeros((0,), jnp.result_type(x))]  # gives the precision, and an array if no effect has states
     y = x  # the input of a sensor's effect: the reading of the one before it
     for effect in model.effects:
@@ -51,14 +51,14 @@ def initial(model: "Model", x, voltage, age, reached=0.0) -> Float[Array, " stat
 
 
 def resumed(model: "Model", state: Float[Array, " state"], reached) -> Float[Array, " state"]:
-    """Return a decoder state after the session has stretched the actuator to |X| = `reached` before."""
+    """Return a state after earlier records of the session have stretched the actuator to |X| = `reached`."""
     first = model.order + model.memory.size
     parts = zip(model.effects, split(model, state[first:]), strict=True)
     return jnp.concatenate([state[:first], *(e.resumed(p, reached) for e, p in parts)])
 
 
 def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
-    """Shift the voltage by all delays."""
+    """Delay the voltage (V) by the sum of all delay effects."""
     for effect in model.effects:
         if effect.delays:
             # before the record, a rest was at 0 V; any other start is assumed at the first voltage
@@ -67,7 +67,7 @@ def delayed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> 
 
 
 def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> Float[Array, " time"]:
-    """Compute the film voltage at every sample of u: delays, the model's own lag, then the effects on the voltage."""
+    """Compute the film voltage at every sample of u: delays, the model's own lag, then effects on the voltage."""
     film = model.drive.film(delayed(model, voltage, dt, rest), dt, rest)
     for effect in drives(model):
         begun = effect.start(jnp.where(rest, 0.0, film[0]))
@@ -82,7 +82,7 @@ def filmed(model: "Model", voltage: Float[Array, " time"], dt: float, rest) -> F
 
 
 def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, list]:
-    """Compute film voltages at the three stages of a step of length h; return them and the advanced states."""
+    """Compute the film voltages at the three stages of a time step of h (s), and the advanced effect states."""
     parts = list(parts)
     for k, effect in enumerate(model.effects):
         if effect.port == "IN" and not effect.delays:
@@ -96,7 +96,7 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
 
 
 def coupled(model: "Model", forces: tuple, x) -> tuple:
-    """Compute the force on the structure from the stages' forces at X."""
+    """Compute the force on the structure from the film's force at every stage, at displacement X."""
     for effect in model.effects:
         if effect.port == "SQ":
             forces = tuple(effect.apply(f, x) for f in forces)
@@ -104,7 +104,7 @@ def coupled(model: "Model", forces: tuple, x) -> tuple:
 
 
 def acted(model: "Model", parts: list, now: Instant) -> Instant:
-    """Add every force effect to the frozen equation."""
+    """Add the forces of all effects to the equation of a time step."""
     for effect, states in zip(model.effects, parts, strict=True):
         if effect.forces:
             now = effect.act(states, now)
@@ -112,7 +112,7 @@ def acted(model: "Model", parts: list, now: Instant) -> Instant:
 
 
 def moved(model: "Model", parts: list, x, after, h) -> list:
-    """Advance the states of force and sensor effects after X moved from `x` to `after`.
+    """Advance the states of force and sensor effects after X has moved from `x` to `after` in h seconds.
 
     Sensors are a chain: each effect follows the reading of the one before it (a gain, then a lag: the lag of the gain).
     """
@@ -128,7 +128,7 @@ def moved(model: "Model", parts: list, x, after, h) -> list:
 
 
 def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
-    """Compute the scaled sensor reading of a decoder state."""
+    """Compute the scaled sensor reading of one state."""
     y = state[0]
     parts = split(model, state[model.order + model.memory.size :])
     for effect, states in zip(model.effects, parts, strict=True):
@@ -138,7 +138,7 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
 
 
 def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:
-    """Compute the scaled sensor readings along a rollout, shape (time,)."""
+    """Compute the scaled sensor readings of the states of a simulation, shape (time,)."""
     return jax.vmap(lambda s: reading(model, s))(states) if model.effects else states[:, 0]
 
 
@@ -149,7 +149,7 @@ def required(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " time"]:
-    """Solve eq. 13 with effects: return the film's scaled force along a wanted motion from rest, shape (time,).
+    """Compute the film's scaled force for a wanted motion from rest, for a model with effects, shape (time,).
 
     The states of a force effect depend on x alone, so they are known along the motion; then couplings are divided out.
     """
@@ -158,7 +158,7 @@ def required(
 
 
 def along(model: "Model", x: Float[Array, " time"], dt: float, age: float | Float[Array, ""] = 0.0) -> list:
-    """Compute the states of every force and sensor effect at every sample of a motion that starts at rest."""
+    """Compute the states of all force and sensor effects at every sample of a motion that starts at rest."""
     start = split(model, initial(model, x[0], jnp.zeros_like(x[0]), age))
 
     def advance(parts, ends):
@@ -171,7 +171,7 @@ def along(model: "Model", x: Float[Array, " time"], dt: float, age: float | Floa
 def needed(
     model: "Model", parts: list, row: Float[Array, " tokens"], features: Float[Array, " features"]
 ) -> Float[Array, ""]:
-    """Compute the film's scaled force at one instant of a wanted motion `row`, with effects in the states `parts`."""
+    """Compute the film's scaled force at one instant of a wanted motion, with effects in the states `parts`."""
     n = model.order
     rates = jnp.asarray(model.scales.rates, row.dtype)
     # A motion has no step, so a tenth of the model's time scale sets how sharply friction acts at a reversal.
@@ -193,7 +193,7 @@ def needed(
 
 
 def played(model: "Model", film: Float[Array, " time"], dt: float, exact: bool = False) -> Float[Array, " time"]:
-    """Compute the voltage u for a smooth film voltage, through all voltage effects, the model's own lag and delays.
+    """Compute the voltage u for a smooth film voltage: undo the voltage effects, the model's lag and delays.
 
     `exact`: the lag is undone sample by sample (`drive.undo`), not by its continuous equation.
     """
@@ -208,14 +208,14 @@ def played(model: "Model", film: Float[Array, " time"], dt: float, exact: bool =
 
 
 def moves(model: "Model", reading: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
-    """Compute the scaled motion for a wanted reading."""
+    """Compute the scaled displacement that gives a wanted sensor reading."""
     for effect in reversed(sensors(model)):
         reading = effect.undo(reading, dt)
     return reading
 
 
 def beyond(model: "Model", film: Float[Array, " time"], dt: float) -> Array:
-    """Return where an effect on the voltage cannot give such a film voltage."""
+    """Return True where an effect on the voltage cannot produce this film voltage."""
     out = ~jnp.isfinite(film)
     for effect in reversed(drives(model)):
         out = out | ~effect.passes(film, dt)

@@ -1,4 +1,4 @@
-"""Predict: run a model freely for sets of records.
+"""Predict the displacement of recordings: simulate the model under their voltages.
 
     starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
 
@@ -43,7 +43,7 @@ def estimate_start(
     dt: float,
     age: float | Float[Array, ""] = 0.0,
 ) -> Float[Array, " state"]:
-    """Estimate the initial state of a record that starts moving, from its first samples (scaled).
+    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
 
     Gauss-Newton on the rollout over S(0) and one level m at which every memory is assumed settled, with a weak prior
     (1e-3) towards the mean displacement and no motion.
@@ -71,14 +71,14 @@ def estimate_start(
 
 
 def at_rate(model: Model, dt: float) -> Model:
-    """Return the model with the substeps that this sampling interval needs, never fewer than it has."""
+    """Return the model with enough Runge-Kutta steps per sample for this sampling interval (s)."""
     count = max(model.substeps * max(1, round(dt / model.dt)), substeps(model.physical_coefficients, dt))
     return replace(model, substeps=count) if count > model.substeps else model
 
 
 @dataclass(frozen=True)
 class Prediction(Shown):
-    """A free run of the model for one record.
+    """The simulated displacement of one record, with its initial state and its distance from the training data.
 
     Attributes:
         name: of the record.
@@ -121,7 +121,7 @@ class Prediction(Shown):
 
 
 def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Prediction, ...]:
-    """Run the model freely under every record's voltage, batched; records may have any lengths, one sampling rate.
+    """Simulate the model under the voltage of every record; all records have one sampling rate.
 
     Args:
         model: identified, trained, or with effects (`Fitted` or `Model`).
@@ -153,14 +153,14 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
 
 
 def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
-    """Return the prediction with the fraction and the description of the input's untrained part."""
+    """Add to a prediction the fraction and the description of the input's untrained part."""
     part = input_beyond(model, record.voltage, record.dt)
     share = max(run.outside_training_share, part.fraction)
     return replace(run, outside_training_share=share, not_excited=input_words(model, part))
 
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
-    """Predict records padded to one length; `starts`: the result of `begin` for every record."""
+    """Predict records that are padded to one length; `starts`: the result of `begin` for every record."""
     size = -(-max(r.samples for r in records) // 1024) * 1024  # whole thousands: few lengths, few programs to compile
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
@@ -174,7 +174,7 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
 def starts(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Return initial states of all records, and from how many samples each was estimated (0: at rest or held).
+    """Return the initial states of all records, and the number of samples used to estimate each (0: at rest or held).
 
     `aged`: whether their times are one session's (default: if no two overlap); otherwise their age is unknown.
     """
@@ -184,7 +184,7 @@ def starts(
 def begin(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
-    """Return initial states as `starts` does, and how each record starts, with its offset and direction."""
+    """Return the initial states, the samples used for each, and how each record starts, with offset and direction."""
     aged = session_clock(records) if aged is None else aged
     ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
@@ -202,7 +202,7 @@ def begin(
 
 
 def reaches(model: Model, records: Sequence[Record]) -> list[float]:
-    """Return the largest scaled |x| of the session before every record, without the records' offsets and directions."""
+    """Return the largest scaled |x| of the session before each record, without sensor offset and direction."""
     scale = model.scales.state[0]
     far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
     begins = [r.time[0] for r in records]
@@ -210,7 +210,7 @@ def reaches(model: Model, records: Sequence[Record]) -> list[float]:
 
 
 def initial_samples(model: Model, record: Record) -> int:
-    """Return how many samples are used to estimate the state of a moving start.
+    """Return the number of samples used to estimate the initial state of a record that begins in motion.
 
     1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
     """
@@ -220,7 +220,7 @@ def initial_samples(model: Model, record: Record) -> int:
 
 
 def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
-    """Estimate the state of a moving start from its first samples.
+    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
 
     After an initial gap these samples follow the gap; the rollout starts before it.
     """
@@ -235,7 +235,7 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
 
 
 def outside_fraction(model: Model, features: np.ndarray) -> float:
-    """Return the fraction of rows (S then memory, scaled; shape (T, features)) outside the box of training.
+    """Return the fraction of samples whose features (S, then memories, scaled) lie outside the trained region.
 
     The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
     in short records). A model without a region (identified only) returns 0.
@@ -246,13 +246,13 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
 
 
 def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
-    """Return how far every feature lies outside its trained range, relative to that range; negative inside."""
+    """Return how far each feature lies outside its trained range, relative to this range; negative inside."""
     low, high = np.asarray(model.domain.region).T
     return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
 
 
 def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
-    """Return in words which coordinates leave the box of training, by how much and when; empty if none does.
+    """Describe which features leave the trained region, by how much and when; empty if none does.
 
     Args:
         model: its region is the box.
@@ -279,7 +279,7 @@ def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
 def _prediction(
     model: Model, record: Record, states: np.ndarray, seen: np.ndarray, spent: int, begun: Beginning
 ) -> Prediction:
-    """Return one record's prediction; `states`, `seen`: scaled states and readings, longer than the record."""
+    """Build the prediction of one record from its scaled states and readings, cut at a divergence."""
     states = states[: record.samples]
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
     # after divergence nothing counts, even if the run returns

@@ -1,4 +1,4 @@
-"""Simulate a voltage without a measurement: the displacement from the position at 0 V.
+"""Simulate the displacement from the position at 0 V under a voltage, without a recording.
 
 start (at rest, or settled at u(0)) -> rollout -> displacement in the one coordinate (`_model.coordinate`)
 """
@@ -23,7 +23,7 @@ def rollout(
     model: Model | Fitted, voltage: np.ndarray, dt: float | None = None, *,
     begins: Literal["rest", "held"] | None = None, start_time: float = 0.0, zero: Zero = "rest",
 ) -> np.ndarray:  # fmt: skip
-    """Compute the displacement under a voltage: a free run without a record.
+    """Compute the displacement (m) under a voltage (V): a simulation without a recording.
 
     Args:
         model: identified, trained, or with effects.
@@ -55,7 +55,7 @@ def rollout(
 
 
 def _checked(voltage, dt, begins) -> np.ndarray:
-    """Return the voltage as an array, or raise one line with all problems."""
+    """Return the voltage as an array; refuse invalid arguments in one line with all problems."""
     problems = []
     try:
         drive = np.asarray(voltage, np.float64)
@@ -75,7 +75,7 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
-    """Compute the model's own displacement (m) for all rows, padded to whole thousands of samples."""
+    """Simulate all voltages, shape (rows, time); return the displacement (m) in the model's own direction."""
     dtype, samples = model.coefficients.dtype, rows.shape[1]
     age = model.domain.age(start_time)
     # a record that starts under a voltage was most likely held there before

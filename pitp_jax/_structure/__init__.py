@@ -1,4 +1,4 @@
-"""Structure: chooses between networks, physical effects, or both, by the error on excitations left out.
+"""Choose between networks, physical effects, or both, by the error on excitations that were left out.
 
     records -> encoder | physical | both, each fitted without one excitation in turn -> errors on it -> one of them
 

@@ -1,4 +1,4 @@
-"""Choose the structure of a model by its error on excitations left out.
+"""Choose the structure of a model (effects, networks, or both) by its error on excitations left out.
 
     physical   the nominal model, refitted, with at most three effects found by the search of a diagnosis
     encoder    the nominal model with networks, as `train` makes it
@@ -33,7 +33,7 @@ STRUCTURES = ("physical", "encoder", "both")  # those with the fewest parameters
 
 @dataclass(frozen=True)
 class Choice:
-    """The structure of a model.
+    """The chosen structure of a model, with the reason, its training, and the errors of all structures.
 
     Attributes:
         structure: "physical", "encoder" or "both".
@@ -53,7 +53,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Fitting:
-    """How structures are fitted.
+    """The data and settings with which all structures are fitted.
 
     Attributes:
         nominal: of all recordings.
@@ -96,7 +96,7 @@ def best_structure(
 
 
 def choose(how: Fitting, records: Sequence[Record], encoder: Training) -> Choice:
-    """Compare the three structures if there are few excitations; otherwise keep the encoder.
+    """Compare the three structures if there are few excitations; otherwise keep the trained encoder.
 
     Args:
         how: the fitting.
@@ -138,7 +138,7 @@ def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training, 
 
 
 def impose(structure: str, how: Fitting, records: Sequence[Record], cross_validate: bool = False) -> Choice:
-    """Fit one structure, "physical" or "both".
+    """Fit the structure "physical" or "both" without a comparison.
 
     Args:
         structure: to fit.
@@ -182,12 +182,12 @@ def _trained(structure: str, how: Fitting, physical: Physical, moving: Sequence[
 
 
 def _by_excitation(values: np.ndarray, excitations: Sequence[Sequence[int]]) -> np.ndarray:
-    """Return the geometric mean over the recordings of each excitation."""
+    """Return the geometric mean of errors over the recordings of each excitation."""
     return np.array([np.exp(np.mean(np.log(np.maximum(values[list(e)], 1e-9)))) for e in excitations])
 
 
 def _held_out(training: Training, moving: Sequence[Record], predicted: np.ndarray) -> tuple[HeldOut, ...]:
-    """Return the errors of each recording, in the order of the training's own list."""
+    """Return the fitted and the predicted error of each recording, in the order of the training's list."""
     fitted = dict(zip((r.name for r in moving), errors(training.model, moving).tolist(), strict=True))
     left_out = dict(zip((r.name for r in moving), predicted.tolist(), strict=True))
     return tuple(HeldOut(e.name, fitted[e.name], left_out[e.name]) for e in training.errors)

@@ -1,4 +1,4 @@
-"""Errors of the structures on excitations left out: models of the other excitations predict each as a whole."""
+"""Compute the error of each structure on excitations that were left out of its fit."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -25,7 +25,7 @@ Identify = Callable[[Sequence[Record]], Model | Fitted]
 
 @dataclass(frozen=True)
 class Folds:
-    """Recordings grouped by excitation, and the excitations that are left out together.
+    """Recordings grouped by excitation, and the groups that are left out together.
 
     Attributes:
         excitations: indices of the recordings of each distinct excitation.
@@ -75,7 +75,7 @@ def _fitted(
     structures: Sequence[str], others: Sequence[Record], names: set[str], identify: Identify,
     physical: Physical | None, settings: Settings, key, progress,
 ) -> Iterator[tuple[str, Model | Fitted]]:  # fmt: skip
-    """Yield every structure that can be fitted to these recordings."""
+    """Yield (structure, model) for every structure that can be fitted to the recordings `others`."""
 
     def trained(nominal, chosen: Settings):
         return train(nominal, others, settings=chosen, key=key, progress=progress).model
@@ -94,7 +94,7 @@ def _fitted(
 
 
 def _unless_failed(make: Callable[[], Model | Fitted | None]) -> Model | Fitted | None:
-    """Return a model, or None if these recordings do not suffice for it."""
+    """Return the model that `make` builds, or None if the recordings do not suffice for it."""
     try:
         return make()
     except (BadInput, ComputationFailed):

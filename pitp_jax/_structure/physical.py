@@ -1,4 +1,4 @@
-"""The physical structure: a nominal model, refitted, with the effects that the search of `_diagnose` finds."""
+"""Build the physical structure: the nominal model, refitted, with effects from the search of `_diagnose`."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ _STEPS = 14  # of a refit, which starts at the fit to all recordings
 
 @dataclass(frozen=True)
 class Physical:
-    """The best set of effects of a search, fitted to all recordings.
+    """The best set of effects of a search, fitted to all recordings, with the nominal model.
 
     Attributes:
         nominal: the model without them.
@@ -45,11 +45,11 @@ class Physical:
     labels: tuple[str, ...]
 
     def model(self, records: Sequence[Record]) -> Model:
-        """Return the model fitted to all recordings; `records` are these."""
+        """Build the model fitted to all recordings; `records` are all recordings."""
         return self._made(self.fit, records)
 
     def without(self, records: Sequence[Record], left_out: set[str]) -> Model:
-        """Return the model refitted without the recordings of these names; `records` are the other ones."""
+        """Refit the model without the recordings in `left_out` (names); `records` are the remaining ones."""
         case = self.search.case
         places = [k for name, some in case.recordings.items() if name not in left_out for k in some]
         fitter = Fitter(case.alone(places), self.search.budget)
@@ -95,7 +95,7 @@ def find_physical(
 
 
 def as_training(model: Model, nominal: Model | Fitted, records: Sequence[Record], seconds: float) -> Training:
-    """Return a physical model as the result of a training on these recordings, which took so many seconds."""
+    """Return a physical model in the form of a training result; `seconds`: the computing time."""
     compared, parent = judge(nominal, records)(model), fitted_of(nominal)
     notes = {
         "records": [r.name for r in records], "samples": sum(r.samples for r in records), "seconds": round(seconds, 1),

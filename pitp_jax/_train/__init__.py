@@ -1,4 +1,4 @@
-"""Training: turns a nominal model and recordings into a model with an encoder (paper, Algorithm 1 and eq. 12).
+"""Train a model: add an encoder to a nominal model, from recordings (paper, Algorithm 1 and eq. 12).
 
     1. min Huber(theta(X) . X - F) + soft box on the tokens, the box widening in stages     (`equation_error`)
     2. min |free run - record|^2 + prior, by Levenberg-Marquardt                             (`refine`)

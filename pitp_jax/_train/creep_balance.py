@@ -1,4 +1,4 @@
-"""Fit creep that is slower than the training records to the long record that the nominal model stores.
+"""Fit creep slower than the training records to the long record that the nominal model stores.
 
     r(t) = ( sigma_off + sum_i sigma_i x^(i) - F ) / a_0                 residual of the equation, as a displacement
     minimise   lambda  mean over windows w of  ( 100 mean_{t in w} p(t) r(t) / range )^2
@@ -36,7 +36,7 @@ OUTLASTS = 1.5  # times the longest training run
 
 
 class _Series(eqx.Module):
-    """Voltage (V), scaled displacement; scaled states of every `step`-th sample with weights of both moments."""
+    """One measured series: voltage (V), scaled displacement and states, and the weights of both window moments."""
 
     voltage: Float[Array, " time"]
     x: Float[Array, " time"]
@@ -47,7 +47,7 @@ class _Series(eqx.Module):
     step: int = eqx.field(static=True)
 
     def kept(self, along: Float[Array, "time ..."]) -> Float[Array, "windows size ..."]:
-        """Return every `step`-th row, cut into windows, shape (windows, size, ...)."""
+        """Return every `step`-th sample of a series, cut into windows, shape (windows, size, ...)."""
         rows = along[:: self.step]
         windows, _, size = self.weight.shape
         return rows[: windows * size].reshape(windows, size, *rows.shape[1:])
@@ -55,7 +55,7 @@ class _Series(eqx.Module):
 
 @dataclass(frozen=True)
 class SlowBalance:
-    """The windows of a long record, in the scales of one model.
+    """The windows of a long record, in the scaled units of one model.
 
     Attributes:
         series: the measured series.
@@ -68,12 +68,12 @@ class SlowBalance:
     seconds: float
 
     def errors(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, " rows"]:
-        """Compute the residuals at these trained parameters, two per window."""
+        """Compute the residuals for these trained parameters, two per window."""
         moments = np.asarray(_moments(with_parameters(model, vector), self.series), np.float64)
         return (self._row_scale[:, None] * moments).ravel()
 
     def slopes(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, "rows parameters"]:
-        """Compute their derivatives; those of effects are zero, because the balance ignores effects."""
+        """Compute the residuals' derivatives; those of effect parameters are zero, because effects are ignored."""
         slopes = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
         slopes = np.pad(slopes, ((0, 0), (0, 0), (0, len(vector) - slopes.shape[-1])))
         return (self._row_scale[:, None, None] * slopes).reshape(-1, len(vector))
@@ -83,13 +83,13 @@ class SlowBalance:
         return self.scale * np.sqrt(_WEIGHT / np.count_nonzero(self.scale))  # squared and summed: lambda times a mean
 
     def features(self, model: Model) -> np.ndarray:
-        """Return states and memories of all samples that count, shape (samples, n + K)."""
+        """Return states and memories of all samples with weight, shape (samples, n + K)."""
         past = _past(model.memory, self.series)
         return np.concatenate([self.series.states[..., :-1], past], -1)[np.asarray(self.series.weight[:, 0]) > 0]
 
 
 def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
-    """Cut the long record into windows within `region` (lowest and highest feature values); None if hardly any are."""
+    """Cut the long record into windows within the trained `region`; None if fewer than ten remain."""
     record = long.record()
     force = np.asarray(model.input_map.force(jnp.asarray(record.voltage)), np.float64)
     motion = preprocess(record, model.order, cutoff(force_band([force], long.dt), long.dt), force,
@@ -118,7 +118,7 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
 
 
 def _below(model: Model, rows: np.ndarray, mean: np.ndarray) -> np.ndarray:
-    """Mark windows slower than the resonance; with inertia, r differs from the residual of a free run."""
+    """Mark windows with motion slower than the resonance; in faster ones inertia matters."""
     swing, speed = (
         np.sqrt(np.maximum((mean * v**2).sum(1) - (mean * v).sum(1) ** 2, 0)) for v in np.moveaxis(rows[..., :2], -1, 0)
     )
@@ -137,13 +137,13 @@ def _force(model: Model, drive, series: _Series):
 
 
 def _balance(model: Model, encoder, past, state):
-    """Compute the scaled force that the equation gives at one instant."""
+    """Compute the scaled force that the equation of motion needs at one instant."""
     return equation_force(model, list(encoder(jnp.concatenate([state[:-1], past]))), list(state))[0]
 
 
 @jit
 def _moments(model: Model, series: _Series) -> Float[Array, "windows moments"]:
-    """Compute both moments of the equation's residual (a scaled force) in every window."""
+    """Compute two weighted means of the equation's residual (a scaled force) in every window."""
     along = jax.vmap(jax.vmap(lambda past, state: _balance(model, model.encoder, past, state)))
     residual = along(_past(model.memory, series), series.states) - _force(model, model.drive, series)
     return jnp.einsum("wmt,wt->wm", series.weight, residual)

@@ -1,4 +1,4 @@
-"""Leave-one-record-out cross-validation: the error on every record of a model trained without it.
+"""Cross-validate a training: the error on every record of a model that was trained without this record.
 
     for every record k:    nominal and training on the others  ->  e_k of the free run of record k
 
@@ -23,7 +23,7 @@ _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warni
 
 @dataclass(frozen=True)
 class HeldOut:
-    """Errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
+    """The errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
 
     `problem`: why training on the other records failed; then `predicted` is infinite.
     """
@@ -41,7 +41,7 @@ class HeldOut:
 
 
 def with_left_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
-    """Keep the errors of the recordings left out in the model's origin, % of range; None where there is no model."""
+    """Store the errors of held-out recordings in the model's origin, % of range; None where training failed."""
     errors = {h.name: h.predicted if math.isfinite(h.predicted) else None for h in held_out}
     training = {**(model.origin.training or {}), "left_out_errors": errors}
     return Fitted(model.model, replace(model.origin, training=training))
@@ -55,7 +55,7 @@ def cross_validate(
     key,
     **options,
 ) -> tuple[HeldOut, ...]:
-    """Train once without every record that moves, and predict it.
+    """Train once without each record that moves, and predict this record.
 
     Args:
         nominal: the initial model, or a function that identifies one on given records.

@@ -1,4 +1,4 @@
-"""Convert records and a nominal model into training data on the device: scaled states, memories and forces.
+"""Convert records to training data on the device: scaled states, memories and forces.
 
 X_i = x^(i) / scale_i,   m = memory(x),   F / F_max          (docs/readings.md: eqs. 3, 6, 8, 9)
 """
@@ -21,7 +21,7 @@ from .equation_error import EquationData
 
 @dataclass(frozen=True)
 class Dataset:
-    """The training data of a set of records.
+    """The training data of several records, in the scaled units of the model.
 
     Attributes:
         model: the nominal in the new scales, with the memory (tokens still constant).
@@ -46,7 +46,7 @@ def build_dataset(
     difference: str,
     memory: Callable[[Sequence[StateRecord]], eqx.Module],
 ) -> Dataset:
-    """Filter, differentiate and scale the records; `memory` is built from the filtered motion.
+    """Filter, differentiate and scale the records; `memory` builds the memory from the filtered motion.
 
     Raises:
         BadInput: no usable sample left after filtering.
@@ -93,12 +93,12 @@ def build_dataset(
 
 
 def region_of(*rows: np.ndarray) -> Float[np.ndarray, "features 2"]:
-    """Return the lowest and highest value of every feature over all of these rows, shape (features, 2)."""
+    """Return the lowest and highest value of every feature over all samples, shape (features, 2)."""
     return np.stack([np.min([r.min(0) for r in rows], 0), np.max([r.max(0) for r in rows], 0)], -1).astype(float)
 
 
 def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np):
-    """Return sample weights that even out the density of visited states: mean 1, at most `most` times the least.
+    """Return sample weights that even out how often states are visited: mean 1, at most `most` times the least.
 
     A record of steps stands still for 99 % of its samples, and only the others show its motion. Each sample gets 1 /
     sqrt(samples in its cell), on a grid of the first three states at most. Samples with false `valid` have weight 0.
@@ -117,7 +117,7 @@ def spread_weights(state, cells: int = 16, most: float = 20.0, valid=None, xp=np
 
 
 def _rescaled(nominal: Model, states: Sequence[StateRecord], forces, f_max: float, scaling: str) -> Model:
-    """Return the nominal model in scales taken from the training data.
+    """Return the nominal model with scaled units taken from the training data.
 
     "rms": each derivative over its training rms. "paper": eq. 3, x^(i) over x_rms d^(i - k/2...) with d = 2 pi f_max,
     centred on k = floor(n/2) with a factor sqrt(d) per derivative.

@@ -1,4 +1,4 @@
-"""Estimate uncertainty from a small ensemble: models trained with different keys and simulated together.
+"""Estimate the uncertainty of a prediction from models that were trained with different random keys.
 
     x(t) = mean_k x_k(t),    band = x(t) +- sqrt( t_{K-1}(p)^2 (1 + 1/K) var_k x_k(t) + b(p)^2 )
     b(p) = range Q(p) t_R(p) / z(p)       p: level;  t, z: Student's and the normal quantile of |.|
@@ -43,7 +43,7 @@ _LEVELS = 201  # quantiles of the errors, every half percent
 
 @dataclass(frozen=True, repr=False)
 class Ensemble(Shown):
-    """Members that differ only in trained parameters.
+    """Several models of one structure with different trained parameters, and the error of their mean.
 
     Attributes:
         models: K models, each usable alone.
@@ -63,7 +63,7 @@ class Ensemble(Shown):
 
     @staticmethod
     def calibrated(models: Sequence[Model | Fitted], records: Sequence[Record]) -> "Ensemble":
-        """Return an ensemble of trained members with the error of their mean on these training records."""
+        """Build an ensemble of trained models, with the error of their mean on these training records."""
         bands = predict_band(Ensemble(tuple(models), 0.0), records)
         errors = [_relative(b, r) for b, r in zip(bands, records, strict=True)]
         # quantiles per record first, so that a long record counts as much as a short one
@@ -73,7 +73,7 @@ class Ensemble(Shown):
         return Ensemble(tuple(models), rms, tuple(quantiles.tolist()), len(records))
 
     def floor(self, level: float) -> float:
-        """Return b / range: the error at this level that the members share."""
+        """Return the error that all members share at this confidence level, divided by the range."""
         quantile = 0.5 + level / 2
         if not self.errors:
             return self.error * float(scipy.stats.t.ppf(quantile, len(self.models) - 1))
@@ -90,7 +90,7 @@ class Ensemble(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Band(Shown):
-    """The prediction of an ensemble for one record.
+    """The prediction of an ensemble for one record: mean, and half the width of the band (m or V).
 
     Attributes:
         name: of the record.
@@ -108,7 +108,7 @@ class Band(Shown):
 
 
 def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
-    """Train `members` models with keys split from `key`, distributed over all JAX processes; `options` as for `train`.
+    """Train `members` models with keys split from `key`, distributed over all JAX processes.
 
     Args:
         nominal, records: as for `train`, the same in every process.
@@ -138,7 +138,7 @@ def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, member
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
-    """Predict mean and band of every record, all members at once.
+    """Predict mean and uncertainty band of every record, with all members at once.
 
     Args:
         ensemble: of `train_ensemble`.
@@ -188,7 +188,7 @@ def _enough(members: int) -> None:
 
 
 def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
-    """Gather the members of all processes in order; model files also hold their origins."""
+    """Gather the members that all JAX processes have trained, in order, with their origins."""
     processes = jax.process_count()
     with TemporaryDirectory() as folder:
         path, packed = Path(folder) / "member.pitp", []
@@ -208,13 +208,13 @@ def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
 
 
 def _stacked(models: Sequence[Model]) -> Model:
-    """Stack the members into one model whose leaves have a leading axis."""
+    """Stack several models into one, whose arrays have a leading axis for the models."""
     # a user's own encoder may hold functions, which are the same in all
     return jax.tree.map(lambda *leaves: leaves[0] if callable(leaves[0]) else jnp.stack(leaves), *models)
 
 
 def _make(model: Model) -> tuple:
-    """Return the properties that members must share: structure, shapes, scales and output."""
+    """Return the properties that all members must share: structure, shapes, scales, sensor offset and direction."""
     shapes, structure = jax.tree.flatten(jax.tree.map(lambda a: a if callable(a) else jnp.shape(a), model))
     return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
 
@@ -225,6 +225,6 @@ def _run(stack: Model, voltage, dt: float, start):
 
 
 def _relative(band: Band, record: Record) -> Float[np.ndarray, " counted"]:
-    """Compute the mean's error over the record's range, at the samples that count."""
+    """Return the error of the ensemble's mean, divided by the record's range, at the samples that count."""
     keep = band.scored & record.observed
     return (band.displacement - record.displacement)[keep] / record.span

@@ -1,4 +1,4 @@
-"""Compute the training loss (paper, eq. 12): physics residual of the ODE plus soft constraints on the tokens.
+"""Compute the training loss (paper, eq. 12): residual of the equation plus penalties on the coefficients.
 
     L1 = Huber_delta( sigma_off + sum_i sigma_i X_i - F )                     forces over their training maximum
     L2 = 1/m sum_i [ alpha relu(sigma_i - P_i) + beta relu(Q_i - sigma_i) ]   in units of the nominal token
@@ -19,7 +19,7 @@ from .._model.rows import Rows
 
 
 class EquationData(eqx.Module):
-    """Samples of all records, scaled, flat: features (S, memory), equation vector X, force, and a weight each."""
+    """Scaled samples of all records: features (S, memory), derivatives X, force, and a weight for each sample."""
 
     features: Float[Array, "samples features"]
     equation: Float[Array, "samples tokens"]
@@ -27,18 +27,18 @@ class EquationData(eqx.Module):
     weight: Float[Array, " samples"]
 
     def take(self, index) -> "EquationData":
-        """Return the minibatch of these samples."""
+        """Return the samples of these indices as a minibatch."""
         return jax.tree.map(lambda a: a[index], self)
 
 
 def huber(residual, width: float):
-    """Compute SmoothL1: r^2 / (2 width) inside, |r| - width / 2 outside."""
+    """Compute the SmoothL1 loss: r^2 / (2 width) for |r| < width, |r| - width / 2 beyond."""
     size = jnp.abs(residual)
     return jnp.where(size < width, 0.5 * size**2 / width, size - 0.5 * width)
 
 
 def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=None):
-    """Compute the mean loss of eq. 12 over a batch.
+    """Compute the mean training loss (eq. 12) over a batch of samples.
 
     Args:
         box: (lower, upper) factors on the nominal tokens, e.g. (0.8, 1.2).
@@ -57,7 +57,7 @@ def loss(model: Model, data: EquationData, box, *, width: float, penalty, key=No
 
 
 def balance(model: Model, residual: Float[Array, " samples"], tokens: Rows, weight, box, *, width: float, penalty):
-    """Compute the mean Huber loss and the penalties of tokens outside the box: the total, and both parts."""
+    """Compute the mean Huber loss and the penalties of coefficients outside the box: the total, and both parts."""
     # Huber, because a few noisy samples of x^(n) would dominate otherwise
     physics = jnp.mean(weight * huber(residual, width))
     factor = jnp.stack(tokens, -1) / model.coefficients  # the box is in units of the nominal, whatever its sign

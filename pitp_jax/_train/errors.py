@@ -1,4 +1,4 @@
-"""Compare the free runs of the trained and of the nominal model on the training records.
+"""Compare the trained model with the nominal one by their simulation errors on the training records.
 
     e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
     a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
@@ -29,7 +29,7 @@ _CLOSED = 0.5  # nor one of at most this fraction of the nominal's
 
 @dataclass(frozen=True)
 class RecordError:
-    """Error of one training record with the nominal and the trained model, and the sensor's noise.
+    """The errors of one training record with the nominal and the trained model, and the sensor's noise.
 
     All are e_rms in % of the record's range (infinite: diverged).
     """
@@ -41,13 +41,13 @@ class RecordError:
 
     @property
     def worse(self) -> bool:
-        """Return whether training increased the error of this record."""
+        """Return whether training increased the error of this record beyond the effect of noise."""
         # not <= instead of >: two infinite errors are not a loss, nan is one
         return not self.trained <= _allowed(self.nominal, self.noise)
 
 
 def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """Compute e_rms of the free run of every record, %; infinite if it diverged, 0 if nothing can be scored."""
+    """Compute e_rms (%) of the simulation of every record; infinite if it diverges, 0 if nothing can be scored."""
     runs = predict(model, records)
     values = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
     return np.nan_to_num(np.array(values), nan=0.0, posinf=np.inf)
@@ -55,7 +55,7 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible result of training, with errors of the nominal and of itself, and sensor noise, % of range."""
+    """A possible result of training: its errors, those of the nominal model, and the sensor's noise, % of range."""
 
     model: Model
     names: tuple[str, ...]
@@ -65,28 +65,28 @@ class Candidate:
 
     @property
     def mean(self) -> float:
-        """Return the rms of the errors over records, %."""
+        """Return the rms over records of the trained model's errors, % of range."""
         return _mean(self.trained)
 
     @property
     def worse(self) -> Float[np.ndarray, " records"]:
-        """Return the error divided by the largest acceptable one, shape (records,)."""
+        """Return the trained model's error, divided by the largest acceptable one, shape (records,)."""
         return np.minimum(self.trained, _DIVERGED) / np.clip(_allowed(self.nominal, self.noise), 1e-12, _DIVERGED)
 
     @property
     def rank(self) -> tuple[int, float]:
-        """Return the number of worse records, then the mean error; smaller is better."""
+        """Return (number of records worse than with the nominal model, mean error); smaller is better."""
         worse = int((self.worse > 1).sum())
         return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
 
     @property
     def converged(self) -> bool:
-        """Return whether no record is worse than with the nominal, and the error without noise is small or halved."""
+        """Return whether training succeeded: no record is worse, and the error without noise is small or halved."""
         return self.rank[0] == 0 and self._small
 
     @property
     def nearly(self) -> bool:
-        """Return whether the mean error is small, but some record is worse than with the nominal."""
+        """Return whether the mean error is small, but some record is worse than with the nominal model."""
         return self.rank[0] > 0 and self._small
 
     @property
@@ -97,27 +97,27 @@ class Candidate:
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
-        """Return both errors of every record."""
+        """Return the errors of both models on every record."""
         columns = (self.nominal.tolist(), self.trained.tolist(), self.noise.tolist())
         return tuple(RecordError(n, *e) for n, *e in zip(self.names, *columns, strict=True))
 
 
 @dataclass(frozen=True)
 class Judge:
-    """A function of a model that compares its free runs on these records with those of the nominal."""
+    """A function that compares a model with the nominal model by simulation errors on the training records."""
 
     records: Sequence[Record]
     nominal: Float[np.ndarray, " records"]
     noise: Float[np.ndarray, " records"]
 
     def __call__(self, model: Model) -> Candidate:
-        """Run the model freely on all records."""
+        """Simulate the model on all records, and return it as a candidate with its errors."""
         names = tuple(r.name for r in self.records)
         return Candidate(model, names, self.nominal, errors(model, self.records), self.noise)
 
 
 def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
-    """Return the judge of models trained from this nominal on these records."""
+    """Build the function that compares trained models with this nominal model on these records."""
     noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
     return Judge(records, errors(nominal, records), np.array(noise))
 
@@ -125,7 +125,7 @@ def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
 def kept(
     best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
 ) -> tuple[Candidate, list[str], str | None]:
-    """Choose the model to return, worse on no record; return it, lines on failures, and the name of a replacement.
+    """Choose a model that is worse on no record; return it, lines on failures, and the name of a replacement.
 
     `between`: models from this one towards the nominal, which comes last.
     """
@@ -149,7 +149,7 @@ def kept(
 
 
 def _allowed(nominal, noise):
-    """Return the largest error that is not worse than the nominal's, in the shape of both."""
+    """Return the largest error that does not count as worse than the nominal model's, % of range."""
     return np.hypot(_ALIKE * np.asarray(nominal), noise)
 
 

@@ -1,4 +1,4 @@
-"""Differentiate free runs by every trained parameter: forward sensitivities through the decoder, block by block.
+"""Differentiate simulations with respect to every trained parameter (forward sensitivities), in blocks.
 
     s_{t+1} = g(s_t, l_t, q, a),  l_t = encoder(s_t + drift; p),  V = drive(u; r, a),  y = sensor(s; a)
     Z_{t+1} = A_t Z_t + N_t       Z = ds/d(p, q, r, a),  Z_0 = 0,       J = dy/ds Z + dy/da
@@ -28,7 +28,7 @@ _AT_ONCE = 16  # blocks side by side; their data stay in a core's memory
 
 
 class Runs(eqx.Module):
-    """Free runs to be fitted: starts, voltages, scaled displacements and weights of the samples.
+    """Simulations to be fitted to records: initial states, voltages (V), scaled displacements and sample weights.
 
     `own_zero`: 1 where a run has its own sensor offset, projected out of its errors (variable projection).
     """
@@ -40,7 +40,7 @@ class Runs(eqx.Module):
     own_zero: Float[Array, " records"] | None = None
 
     def filled(self, parts: int) -> "Runs":
-        """Add copies of the last run with weight 0, so that `parts` can have equally many."""
+        """Append copies of the last simulation with weight 0, until the number is a multiple of `parts`."""
         extra = -len(self.start) % parts
         # copies of a valid run, because weight 0 times a diverged one is nan
         more = jax.tree.map(lambda a: np.concatenate([a, np.repeat(a[-1:], extra, axis=0)]), self)
@@ -48,7 +48,7 @@ class Runs(eqx.Module):
         return eqx.tree_at(lambda r: r.weight, more, more.weight * counts)
 
     def parts(self, count: int) -> list["Runs"]:
-        """Cut the runs into `count` parts of equal shape, which share one compiled program."""
+        """Cut the simulations into `count` parts of equal shape, which share one compiled program."""
         whole = self.filled(count)
         size = len(whole.start) // count
         return [jax.tree.map(lambda a, k=k: a[k * size : (k + 1) * size], whole) for k in range(count)]
@@ -56,7 +56,7 @@ class Runs(eqx.Module):
 
 @jit
 def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors"]:
-    """Compute sqrt(every w) e at every `every`-th sample, without an incomplete last block."""
+    """Compute the weighted simulation errors sqrt(every w) e at every `every`-th sample."""
     states = fast_rollout(model, runs.voltage, dt, runs.start)
     errors = jax.vmap(lambda run: ports.readings(model, run))(states) - runs.target
     last = runs.target.shape[1] // every * every  # the blocks of `run_slopes`, so that rows match
@@ -64,7 +64,7 @@ def run_errors(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
 
 
 def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -> Float[Array, "records errors n"]:
-    """Weight rows by c = sqrt(every w), minus c (c . row) / (c . c) if a run has its own sensor offset.
+    """Weight errors by c = sqrt(every w); where a record has its own sensor offset, remove its best value.
 
     The result is the residual after the best offset. The same projection of its derivatives is exact (variable
     projection for a linear parameter).
@@ -78,12 +78,12 @@ def _projected(rows: Float[Array, "records errors n"], runs: Runs, every: int) -
 
 
 def _product(a, b):
-    """Multiply two small matrices as a sum, because `@` would be a call for every instant."""
+    """Multiply two small matrices as a sum of products, because `@` would be a call for every instant."""
     return sum(a[:, k, None] * b[k] for k in range(len(b)))
 
 
 class _Local:
-    """The derivatives of one model, sample by sample, along known states."""
+    """The derivatives of one model along known states, sample by sample."""
 
     def __init__(self, model: Model, dt: float):
         self.numbers, self.substeps, self.h = Numbers(model), model.substeps, dt / model.substeps
@@ -91,12 +91,12 @@ class _Local:
         self.both = jnp.concatenate([self.numbers.drive, self.numbers.effects])
 
     def stages(self, runs: Runs, dt: float, both):
-        """Compute the film voltages of every run at every stage, with other parameters of drive and effects."""
+        """Compute the film voltages of every simulation at every stage, for these parameters of drive and effects."""
         cut = self.numbers.drive.size
         return self.numbers.stages(runs.voltage, at_rest(self.numbers.model, runs.start), dt, both[:cut], both[cut:])
 
     def substep(self, state, volts, volts_by):
-        """Differentiate one substep: A_t, dg/dl, N_t without the encoder's part, its features, and the next state.
+        """Differentiate one substep; return A_t, dg/dl, N_t without the encoder's part, features, and the next state.
 
         The encoder is differentiated separately: with its few logits, all weights cost one reverse pass per block.
         """
@@ -116,7 +116,7 @@ class _Local:
         return (by_state.at[:, : self.core].add(_product(by_seen, by_core)), by_logits, others, seen), moved(*here)
 
     def sample(self, state, volts, volts_by):
-        """Differentiate the substeps of one sample."""
+        """Differentiate all substeps of one sample."""
         along = []
         for k in range(self.substeps):
             places = slice(2 * k, 2 * k + 3)
@@ -125,7 +125,7 @@ class _Local:
         return jax.tree.map(lambda *a: jnp.stack(a), *along)
 
     def block(self, states, volts, volts_by):
-        """Compute phi and N of a few samples: afterwards Z is phi Z + N."""
+        """Compute phi and N of a block of samples, which change the sensitivity Z to phi Z + N."""
         parts = jax.vmap(self.sample)(states, volts, volts_by)
         by_state, by_logits, others, seen = (a.reshape(len(states) * self.substeps, *a.shape[2:]) for a in parts)
         phi, later = jnp.eye(states.shape[1], dtype=states.dtype), []
@@ -139,7 +139,7 @@ class _Local:
         return phi, jnp.concatenate([by_encoder, jnp.einsum("tij,tjk->ik", later, others)], 1)
 
     def sensed(self, state, answer):
-        """Compute the derivatives of the reading from those of the state."""
+        """Compute the derivatives of the sensor's reading from those of the state."""
         if not self.with_effects:
             return answer[0]  # the sensor shows x itself
         n = self.numbers
@@ -149,7 +149,7 @@ class _Local:
 
 @jit
 def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, "records errors parameters"]:
-    """Differentiate `run_errors` by every trained parameter."""
+    """Differentiate `run_errors` with respect to every trained parameter."""
     local, (records, size), count = _Local(model, dt), runs.start.shape, runs.voltage.shape[1] // every
 
     def through(answer, block):
@@ -157,12 +157,12 @@ def run_slopes(model: Model, runs: Runs, dt: float, every: int) -> Float[Array, 
         return phi @ answer + new, jax.vmap(local.sensed)(state, answer)
 
     def chunk(answer, item):
-        """Compute blocks in parallel, then Z through them; derivatives are taken at each block's first sample."""
+        """Compute several blocks in parallel, then the sensitivities Z at the first sample of each block."""
         blocks = item[0][:, :, 0], *jax.vmap(jax.vmap(local.block))(*item)
         return jax.lax.scan(through, answer, jax.tree.map(lambda a: jnp.moveaxis(a, 1, 0), blocks))
 
     def chunks(values):
-        """Reshape (records, time, ...) to (chunks, records, blocks, every, ...), zeros after the last block."""
+        """Reshape (records, time, ...) to (chunks, records, blocks, every, ...), with zeros after the last block."""
         values = values[:, : count * every].reshape(records, count, every, *values.shape[2:])
         filled = jnp.pad(values, [(0, 0), (0, -count % _AT_ONCE)] + [(0, 0)] * (values.ndim - 2))
         return jnp.moveaxis(filled.reshape(records, -(-count // _AT_ONCE), _AT_ONCE, *values.shape[2:]), 1, 0)

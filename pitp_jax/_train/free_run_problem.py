@@ -1,4 +1,4 @@
-"""Fit free runs to their records as one least-squares problem, on all cores or all devices.
+"""Fit simulations to records as one least-squares problem, on all cores or all devices.
 
     r = [ sqrt(w) (x - x_measured) at every `every`-th sample of every run,  sqrt(rho) (p - p_0),  slow balance ]
 
@@ -27,19 +27,19 @@ _FEWEST_RUNS, _MOST_RUNS = 4, 128
 
 
 class _OverRuns(eqx.Module):
-    """A function of (model, runs, dt, every) with the signature that `over_records` needs."""
+    """A function of (model, runs, dt, every) with dt and every fixed, as `over_records` needs it."""
 
     function: Callable = eqx.field(static=True)
     dt: float = eqx.field(static=True)
     every: int = eqx.field(static=True)
 
     def __call__(self, model, runs):
-        """Call the function with a device's own runs."""
+        """Call the function with the simulations of one device."""
         return self.function(model, runs, self.dt, self.every)
 
 
 class FreeRuns:
-    """Residuals and derivatives of batches of runs, as blocks for `minimise.accelerated`.
+    """Residuals and derivatives of batches of simulations, as blocks for `minimise.accelerated`.
 
     Args:
         model: its trained parameters are fitted.
@@ -70,19 +70,19 @@ class FreeRuns:
             self._parts = [spread(runs.filled(len(mesh.local_devices)), mesh) for runs in batches]
 
     def errors(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Compute the residuals at these trained parameters."""
+        """Compute all residuals for these trained parameters, in blocks."""
         runs = [np.asarray(e) for e in self._each(run_errors, vector)]
         slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
     def miss(self, vector: np.ndarray) -> float:
-        """Compute the rms error of the runs alone, % of range; infinite if one diverges."""
+        """Compute the rms simulation error, % of range, without the prior; infinite if a simulation diverges."""
         runs = self._each(run_errors, vector)
         rms = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
         return rms if np.isfinite(rms) else np.inf  # nan would win or lose an argmin at random
 
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
-        """Compute their derivatives with respect to the trained parameters, the last axis."""
+        """Compute the derivatives of all residuals with respect to the trained parameters (last axis)."""
         runs = self._each(run_slopes, vector)
         slow = [] if self._slow is None else [self._slow.slopes(self._model, vector)]
         return [*runs, np.diag(self._root), *slow]
@@ -100,7 +100,7 @@ class FreeRuns:
 
 
 def _parts_of(runs: int) -> int:
-    """Return the number of parts that the runs are cut into; a GPU takes them all at once."""
+    """Return the number of parts that so many simulations are cut into; 1 on a GPU."""
     if jax.default_backend() != "cpu":
         return 1
     return max(min(_cores(), runs // _FEWEST_RUNS), -(-runs // _MOST_RUNS), 1)

@@ -1,4 +1,4 @@
-"""Collect the trained parameters of a model, as one vector and by part.
+"""Collect the trained parameters of a model, as one vector and by part of the model.
 
     p: the encoder's weights,   q: the memories' time constants,   r: the drive's,   a: the effects' parameters
 
@@ -20,7 +20,7 @@ from .._simulate.decoder import midpoint, motion_of, stage_voltages, substep
 
 
 def trainable(model: Model):
-    """Mark every number that training may change: encoder weights, time constants, effects' parameters."""
+    """Mark every number that training may change: encoder weights, time constants, effect parameters."""
     spec = jax.tree.map(lambda _: False, model)  # coefficients stay, because the encoder's factors move the tokens
     return eqx.tree_at(_parts, spec, jax.tree.map(_moves, _parts(model), is_leaf=_is_constant))
 
@@ -39,19 +39,19 @@ def _parts(model: Model) -> tuple:
 
 
 def _logarithmic(model: Model) -> np.ndarray:
-    """Mark the effects' parameters that are fitted by their logarithm."""
+    """Mark the effect parameters that are fitted by their logarithm."""
     return np.array([p.positive for e in model.effects for p, _ in e.numbers()], bool)
 
 
 def _stored(model: Model, numbers, xp):
-    """Compute the effects' parameters from their fitted values."""
+    """Convert fitted values to effect parameters: the exponential where the logarithm was fitted."""
     logs = _logarithmic(model)
     # the inner `where` keeps exp from overflowing on values that are not logarithms, which would spoil the gradient
     return xp.where(logs, xp.exp(xp.where(logs, numbers, 0.0)), numbers)
 
 
 def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Return all trained parameters in one vector (encoder, memory, drive, effects), and how many of each."""
+    """Return all trained parameters as one vector (encoder, memory, drive, effects), and the size of each part."""
     params = eqx.filter(model, trainable(model))
     parts = [np.asarray(ravel_pytree(part)[0], np.float64) for part in _parts(params)]
     logs = _logarithmic(model)
@@ -61,7 +61,7 @@ def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
 
 
 def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
-    """Return the model with other trained parameters."""
+    """Return the model with its trained parameters replaced by this vector."""
     params, static = eqx.partition(model, trainable(model))
     new, first = [], 0
     for part in _parts(params):
@@ -73,7 +73,7 @@ def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameter
 
 
 class Numbers:
-    """A model split into flat vectors of its trained parameters, with functions of them."""
+    """A model split into vectors of trained parameters (encoder, memory, drive, effects), and functions of these."""
 
     def __init__(self, model: Model):
         self.model = model
@@ -88,14 +88,14 @@ class Numbers:
         self.count = self.encoder.size + self.memory.size + self.drive.size + self.effects.size
 
     def with_effects(self, model: Model, a) -> Model:
-        """Return a model with other parameters of the effects."""
+        """Return a model with the effect parameters `a`."""
         if not self.model.effects:
             return model
         built = eqx.combine(self._effects(_stored(self.model, a, jnp)), self.static.effects)
         return eqx.tree_at(lambda m: m.effects, model, built)
 
     def stages(self, voltage, rest, dt: float, r, a):
-        """Compute the film voltages at the stages of every sample of every record."""
+        """Compute the film voltages at the stages of every sample of every record, for the parameters `r` and `a`."""
         drive, model = eqx.combine(self._drive(r), self.static.drive), self.with_effects(self.model, a)
 
         def one(u, rest):
@@ -104,11 +104,11 @@ class Numbers:
         return jax.vmap(one)(voltage, rest)
 
     def logits(self, p, features):
-        """Compute the encoder's logits with other weights."""
+        """Compute the encoder's logits with the weights `p`."""
         return eqx.combine(self._encoder(p), self.static.encoder)(features)
 
     def with_memory(self, q) -> Model:
-        """Return the model with other time constants of the memories."""
+        """Return the model with the memory time constants `q`."""
         return eqx.tree_at(lambda m: m.memory, self.model, eqx.combine(self._memory(q), self.static.memory))
 
     def seen(self, core, q, h: float):
@@ -116,9 +116,9 @@ class Numbers:
         return jnp.stack(midpoint(motion_of(self.with_memory(q)), list(core), h))
 
     def moved(self, state, logits, q, volts, a, h: float):
-        """Advance the state by one substep with these logits along three stage voltages."""
+        """Advance the state by one substep of h (s), with these logits and three stage voltages."""
         return substep(self.with_effects(self.with_memory(q), a), state, volts, h, logits)
 
     def reading(self, state, a):
-        """Compute the sensor reading of a state."""
+        """Compute the scaled sensor reading of a state, with the effect parameters `a`."""
         return ports.reading(self.with_effects(self.model, a), state)

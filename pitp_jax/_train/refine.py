@@ -1,4 +1,4 @@
-"""Refine the trained model: fit its free runs to the records by least squares (the output error).
+"""Refine a trained model: fit its simulations to the records by least squares (output error).
 
     minimise  mean over records of  f_k mean_t ( 100 (x(t) - x_measured(t)) / range_k )^2  +  sum_k rho_k (p_k - p_k0)^2
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
@@ -54,7 +54,7 @@ _PATIENCE, _SLOW = 5, 0.05  # stop when that many steps together lower the error
 
 @dataclass(frozen=True)
 class _How:
-    """Settings shared by all stages of a refinement."""
+    """The settings shared by all steps of a refinement."""
 
     dt: float
     report: Callable
@@ -76,7 +76,7 @@ def refine(
     windows: bool = True,
     emphasis: Float[np.ndarray, " records"] | None = None,
 ) -> Iterator[tuple[Model, dict]]:
-    """Yield (model, history entry) after every step that lowers the error; `count` at most on whole records.
+    """Yield (model, history entry) after every optimiser step that lowers the simulation error.
 
     `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
     as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
@@ -122,26 +122,26 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
 
 
 def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:
-    """Scale the model's logits to the smallest error of the runs; at zero it is the linear nominal."""
+    """Multiply the model's logits by the factor (0 to 1) with the smallest simulation error."""
     runs = _problem(model, batches, how)
     scaled = [eqx.tree_at(lambda m: m.encoder, model, model.encoder.scaled(f)) for f in _SCALED]
     return scaled[int(np.argmin([runs.miss(parameters(m)[0]) for m in scaled]))]
 
 
 def _miss(model: Model, batches: Sequence[Runs], how: _How) -> float:
-    """Compute the rms error of the runs, % of range; infinite if one diverges."""
+    """Compute the rms simulation error, % of range; infinite if a simulation diverges."""
     return _problem(model, batches, how).miss(parameters(model)[0])
 
 
 def prior_weights(model: Model, sizes, firmness: float) -> np.ndarray:
-    """Return rho of every trained parameter."""
+    """Return the prior weight rho of every trained parameter."""
     nets = eqx.filter(model.encoder.token_nets(), trainable(model).encoder)
     in_nets = np.asarray(ravel_pytree(nets)[0], np.float64)  # 1 or 0
     return np.append(_PRIOR + (firmness - _PRIOR) * in_nets, np.full(sum(sizes) - sizes[0], _PRIOR))
 
 
 def thinning(model: Model, dt: float) -> int:
-    """Return the sampling step of the error: ten samples per period of the resonance, at most every eighth sample.
+    """Return the number of samples between fitted errors: ten per period of the resonance, at most 8 apart.
 
     Neighbours on a smooth run are redundant, and fewer samples need fewer derivatives.
     """
@@ -149,12 +149,12 @@ def thinning(model: Model, dt: float) -> int:
 
 
 def _period(model: Model) -> float:
-    """Compute the period of the nominal's resonance, s."""
+    """Return the period of the nominal model's resonance, s."""
     return 2 * np.pi / model.natural_frequency
 
 
 def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS) -> Runs:
-    """Cut windows of a few periods, each started at its filtered state, so that no run leaves the data far behind.
+    """Cut the records into windows of a few periods, each simulated from its filtered initial state.
 
     An error is relative to the range of its record, because most windows may stand still.
     """
@@ -183,20 +183,20 @@ def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: fl
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):
-    """Complete a filtered state by the effects' states as if settled there."""
+    """Append the effects' states to a filtered state, as after a long time in that state."""
     held = ports.initial(model, jnp.asarray(features[0]), jnp.asarray(voltage, features.dtype), 0.0)
     return jnp.concatenate([jnp.asarray(features), held])
 
 
 def run_samples(records: Sequence[Record]) -> int:
-    """Return the length of the longest free run, samples: the longest record, or less if the budget requires it."""
+    """Return the length of the longest simulation, samples: the longest record, or less within the budget."""
     longest = max(r.samples for r in records)
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
     return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))
 
 
 def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
-    """Return the weight of every record, 1e4 f_k / range_k^2, in the model's scales.
+    """Return the weight of every record, 1e4 f_k / range_k^2, in the model's scaled units.
 
     With f_k = 1, a record with 5 % noise always contributes 25, which hides the information of one with 0.1 %.
     """
@@ -209,7 +209,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
 def _free(
     model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
 ) -> tuple[Runs, ...]:
-    """Return all records, or whole records and the beginnings of the others, both groups with equal weight."""
+    """Prepare all records for simulation; beyond the budget, some whole and the beginnings of the others."""
     size = run_samples(records)
     each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
@@ -236,7 +236,7 @@ def _free(
 def _from_the_start(
     model: Model, records: Sequence[Record], begins: Sequence[tuple], size: int, each: Float[np.ndarray, " records"]
 ) -> Runs:
-    """Pad the first `size` samples to arrays; samples used to estimate an initial state have no weight.
+    """Pad the first `size` samples of records to arrays; samples used for the initial state have no weight.
 
     A held record with the offset of those at rest starts at its measured level, and thus determines the static curve.
     Others that do not start at rest have their own offset, projected out of their errors.
@@ -263,6 +263,6 @@ def _from_the_start(
 
 
 def _settled(model: Model, record: Record):
-    """Compute the state of a record settled at its first level, under its first voltage."""
+    """Return the state of a record that starts in equilibrium at its first reading and voltage."""
     x = jnp.asarray(model.output.to_model(first_level(record)) / model.scales.state[0], model.coefficients.dtype)
     return still_state(model, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)

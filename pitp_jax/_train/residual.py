@@ -1,4 +1,4 @@
-"""Residual of the equation along a recording, and training loss, as pure functions (paper, eq. 12).
+"""Compute the equation's residual along a recording, and the training loss, as pure functions (paper, eq. 12).
 
     r = sigma_off + sum_i sigma_i X_i - F / F_max        X, F: displacement and force, both low-passed with zero phase
     L = mean w Huber(r) + mean penalty                   w: as `dataset.spread_weights`, 0 where the filter settles
@@ -34,7 +34,7 @@ def residual(
     cutoff_hz: float | None = None,
     zero: Zero = "rest",
 ) -> Float[Array, " time"]:
-    """Compute the residual of eq. 12 along a recording, over the model's unit of force, shape (time,).
+    """Compute the residual of the equation of motion along a recording, divided by the model's unit of force.
 
     Memories and the states of effects follow the measured motion. Both ends, where the filter has not settled, count
     in `residual_loss` with weight 0.
@@ -105,7 +105,7 @@ def _loss(model: Model, voltage, displacement, dt, cutoff_hz, zero: Zero, box, w
 
 @jit
 def _measured(model: Model, voltage, displacement, dt, cutoff_hz, zero: Zero):
-    """Compute residual, tokens and scaled [x, ..., x^(n)] along a recording, and where the filter has settled."""
+    """Compute residual, coefficients, scaled [x, ..., x^(n)], and True where the filter has settled."""
     dtype = model.coefficients.dtype
     x = motion_along(model, displacement, dt, zero)
     force = scaled_force(model, ports.filmed(model, voltage, dt, voltage[0] == 0)).astype(dtype)
@@ -120,7 +120,7 @@ def _measured(model: Model, voltage, displacement, dt, cutoff_hz, zero: Zero):
 
 
 def _cutoff(force: Float[Array, " time"], dt) -> Float[Array, ""]:
-    """Compute the training's cut-off for a force, Hz; at least that of one period in the record."""
+    """Compute the cut-off frequency of the training's low-pass filter for a force, Hz."""
     energy = jnp.abs(jnp.fft.rfft(force - force.mean())) ** 2
     below = jnp.cumsum(energy) / jnp.maximum(energy.sum(), jnp.finfo(force.dtype).tiny)
     first = jnp.maximum(jnp.argmax(below >= ENERGY_FRACTION), 1)
@@ -128,7 +128,7 @@ def _cutoff(force: Float[Array, " time"], dt) -> Float[Array, ""]:
 
 
 def _low_passed(values: Float[Array, " time"], cutoff: Float[Array, ""], dt) -> Float[Array, " time"]:
-    """Filter with zero phase, extended oddly at both ends by the whole record."""
+    """Filter a series with zero phase; before and after it, its point reflections are appended."""
     count = len(values)
     before, after = 2 * values[0] - values[:0:-1], 2 * values[-1] - values[-2::-1]
     spectrum = jnp.fft.rfft(jnp.concatenate([before, values, after]))

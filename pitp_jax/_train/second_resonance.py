@@ -1,4 +1,4 @@
-"""Test for a second mass attached to the moving one, along measured motion, before any free run.
+"""Test measured motion for a second mass attached to the moving one, before any simulation.
 
     F = sum_j c_j phi_j - kappa (r - x),   r'' = w^2 (x - r) - 2 zeta w r',   kappa > 0        (least squares)
     phi: 1, X_i, low powers and products of them, slow lags of x, F' and F'' (effect of a lag before the square)
@@ -27,7 +27,7 @@ _FASTEST = 1.0  # w dt; above, errors of the filter and of the input between sam
 def second_mass(
     states: Sequence[StateRecord], omega: float, lags: Float[np.ndarray, " lags"]
 ) -> tuple[float, float, float] | None:
-    """Return eigenfrequency (rad/s) and damping ratio of a mass attached to the moving one, and its u; or None.
+    """Return eigenfrequency (rad/s), damping ratio and unexplained fraction u of an attached mass; None without one.
 
     Args:
         states: filtered motion and force of every record.
@@ -69,23 +69,23 @@ def second_mass(
 
 
 class _Rows(NamedTuple):
-    """Records, the samples used, and their weights: every record counts by the range of its force."""
+    """The samples that the test uses, with weights: every record counts by the range of its force."""
 
     states: list[StateRecord]
     places: list[np.ndarray]
     weight: np.ndarray
 
     def read(self, column: Callable[[StateRecord], np.ndarray]) -> np.ndarray:
-        """Return values of the used samples of all records in sequence; `column` takes them from one record."""
+        """Read the used samples of all records, one after another; `column` selects the series of a record."""
         return np.concatenate([column(s)[at] for s, at in zip(self.states, self.places, strict=True)])
 
     @property
     def displacement(self) -> np.ndarray:
-        """Return the measured displacement X of all records."""
+        """Return the filtered displacement of all used samples."""
         return self.read(lambda s: s.states[:, 0])
 
     def filtered(self, numerator, denominator) -> np.ndarray:
-        """Filter X in continuous time, exact for X linear between samples, settled at its first value."""
+        """Apply a continuous-time filter to the displacement, exact for straight lines between samples."""
         b, a, _ = cast(tuple, scipy.signal.cont2discrete((numerator, denominator), self.states[0].dt, "foh"))
         b, a = np.ravel(b), np.ravel(a)
         settled = scipy.signal.lfilter_zi(b, a)
@@ -95,7 +95,7 @@ class _Rows(NamedTuple):
 
 
 def _rows(states: Sequence[StateRecord]) -> _Rows:
-    """Choose records with valid samples, and every n-th sample of them, within two budgets."""
+    """Choose records with valid samples, and every n-th of these samples, so that both numbers stay limited."""
     some = [s for s in states if s.valid.any()]
     some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
     every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
@@ -106,7 +106,7 @@ def _rows(states: Sequence[StateRecord]) -> _Rows:
 
 
 def _columns(seen: _Rows, lags) -> Float[np.ndarray, "rows phi"]:
-    """Compute all weighted columns phi, each normalised to length one."""
+    """Compute the weighted basis functions phi at the used samples, each normalised to length one."""
     dt = seen.states[0].dt
     motion = seen.read(lambda s: s.states)
     motion = motion / np.sqrt(np.mean(motion**2, 0))

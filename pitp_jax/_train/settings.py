@@ -42,7 +42,7 @@ _REMAINDER = 10.0  # times the prior weight: the corrections of a model that hol
 
 @dataclass(frozen=True)
 class Settings:
-    """The settings of a training; the paper's symbols (Algorithm 1, III-D) in brackets.
+    """The settings of a training. Brackets hold the paper's symbols (Algorithm 1, III-D).
 
     Attributes:
         encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
@@ -104,7 +104,7 @@ class Settings:
     remainder: bool = False
 
     def __post_init__(self):
-        """Refuse unknown words, which would silently act as the default."""
+        """Refuse unknown words in the settings, which would silently act as the default."""
         for name, known in _WORDS.items():
             if getattr(self, name) not in known:
                 raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
@@ -123,7 +123,7 @@ PRESETS = {
 
 
 def preset_of(name: str) -> Settings:
-    """Return the preset of that name; refuse an unknown one."""
+    """Return the preset of this name; refuse an unknown name."""
     if name not in PRESETS:
         raise BadInput(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}")
     return PRESETS[name]
@@ -132,7 +132,7 @@ def preset_of(name: str) -> Settings:
 def memory_of(
     settings: Settings, nominal: Model, long: LongRecord | None, states: Sequence[StateRecord]
 ) -> AbstractMemory:
-    """Build the memory of the settings, its time constants from the resonance to the longest record.
+    """Build the memory that the settings ask for; time constants run from the resonance to the longest record.
 
     A `long` record extends them to a quarter of its length, in which a lag can settle. A second mass is added if the
     motion shows one.
@@ -156,7 +156,7 @@ def memory_of(
 
 
 def firmness_of(settings: Settings, model: Model, records: int) -> float:
-    """Return the prior weight of the spring and damping nets: higher without a square, highest with `few` records."""
+    """Return the prior weight of spring and damping nets: larger for a linear input, largest for few records."""
     if settings.firmness is not None:
         return settings.firmness
     factor = _REMAINDER if settings.remainder else 1.0
@@ -170,7 +170,7 @@ def _small_encoder(model: Model) -> bool:
 
 
 def with_drive(model: Model, settings: Settings) -> Model:
-    """Return the model with the electrode's initial lag for free runs; the equation error ignores the lag.
+    """Return the model with an initial electrode lag for simulations; the equation error ignores this lag.
 
     Without a square after it, a lag is one more linear pole, which the order already includes.
     """
@@ -182,7 +182,7 @@ def with_drive(model: Model, settings: Settings) -> Model:
 
 
 def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
-    """Return the model with its drive's initial lag, the effects of the nominal, and the requested parts.
+    """Return the model with its initial electrode lag, the nominal model's effects, and the parts in the settings.
 
     An effect present from the start is fitted with the encoder, so that the nets need not learn it.
     """
@@ -196,7 +196,7 @@ def with_parts(model: Model, nominal: Model, settings: Settings) -> Model:
 
 
 def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
-    """Return the nominal with a new encoder, the compact one bounded at twice the trained region; `own`: the user's."""
+    """Return the nominal model with a new encoder; `own`: the user's module or function."""
     model = data.model
     n, memories = model.order, model.memory.size
     if own is not None:

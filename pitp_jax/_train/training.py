@@ -1,4 +1,4 @@
-"""Train an encoder from a nominal model and records (paper, Algorithm 1, then rollouts).
+"""Train an encoder from a nominal model and records (paper, Algorithm 1, then fits of simulations).
 
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
@@ -51,7 +51,7 @@ _WORTH_REDUCING = 4  # samples a block: with less, every sample of a set within 
 
 @dataclass(frozen=True)
 class Progress:
-    """One line of progress: the current stage, its step, and its loss."""
+    """One report of progress: the current part of the training, its step, and its loss."""
 
     stage: str
     step: int
@@ -64,10 +64,11 @@ class Progress:
 
 @dataclass(frozen=True, repr=False)
 class Training(Shown):
-    """The trained model, the history of its losses, whether it was interrupted, and its summary (`left_out`: lines).
+    """A trained model with the history of its losses, its errors on the training records, and notes.
 
-    `errors`: of every training record with the nominal and with this model. `problems`: lines on failures. `fallback`:
-    the model returned in place of the trained one, or None.
+    `notes`: a summary; `left_out` lists the recordings without motion. `errors`: of every training record with the
+    nominal and with this model. `problems`: lines on failures. `fallback`: the model returned in place of the trained
+    one, or None. `interrupted`: whether the user interrupted the training.
     """
 
     model: Fitted
@@ -93,7 +94,7 @@ def train(
     encoder: eqx.Module | Callable[..., eqx.Module] | None = None,
     key,
 ) -> Training:
-    """Train an encoder on records, starting exactly at the nominal model.
+    """Train an encoder on records, with initial weights for which the model equals the nominal one.
 
     On every training record the model is at most 1 % worse than the nominal. If no start achieves this, the nominal is
     returned in the trained model's form, and `fallback` reports it. Oversampled records are first averaged over blocks
@@ -167,7 +168,7 @@ def train(
 
 
 def _settings_for(encoder, settings: Settings) -> Settings:
-    """Return the settings for a user's own encoder; with a module the number of memories is known before."""
+    """Return the settings for a user's own encoder; a module fixes the number of memories."""
     if encoder is not None:
         return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
     if settings.encoder == "own":
@@ -176,7 +177,7 @@ def _settings_for(encoder, settings: Settings) -> Settings:
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
-    """Return the nominal with the offset of the records at rest, if its own was never measured at 0 V."""
+    """Return the nominal model with the sensor offset of records at rest, if its own was not measured at 0 V."""
     known = [b for b in begun if not b.free]
     if long is None or long.rest or not known:
         return nominal
@@ -186,7 +187,7 @@ def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginnin
 def _prepared(
     nominal: Model, long: LongRecord | None, records, settings: Settings
 ) -> tuple[Dataset, SlowBalance | None]:
-    """Prepare the training data, with the slow balance if the nominal's long record outlasts the free runs.
+    """Prepare the training data, with creep windows if the stored long record outlasts the simulations.
 
     A nominal with its own effects is excluded, because that balance does not include them.
     """
@@ -209,7 +210,7 @@ def _attempts(
     nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, own, key,
     progress, mesh: Mesh | None,
 ):  # fmt: skip
-    """Yield (best model so far, history entry): the usual start, and others if it does not converge.
+    """Yield (best model so far, history entry) of the first training, and of others if it does not converge.
 
     1: the stages on the equation error, then free runs. 2: if few records are worse than with the nominal, free runs
     again, with those records weighted by their degradation. 3, 4, ...: free runs from the nominal itself, whose logits
@@ -250,7 +251,7 @@ def _attempts(
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """Yield the steps of one start until its free runs diverge; training continues with other starts."""
+    """Yield the steps of one fit until its simulations diverge; training then continues with another one."""
     try:
         yield from steps
     except ComputationFailed:
@@ -258,7 +259,7 @@ def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, di
 
 
 def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
-    """Yield models between this one and the nominal, which comes last, with zero logits and no lag in the drive."""
+    """Yield models between this one and the nominal model, which comes last, with zero logits and no electrode lag."""
     for factor in (0.7, 0.4, 0.2):
         yield replace(model, encoder=model.encoder.scaled(factor))
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
@@ -267,7 +268,7 @@ def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) ->
 
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
-    """Run Algorithm 1: yield (best model, history entry) after every stage."""
+    """Run Algorithm 1 of the paper: yield (best model, history entry) after every stage."""
     total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
     best_model, best, constraint, count, began = model, np.inf, np.inf, 0, time.monotonic()
     for j in range(settings.stages):
@@ -302,14 +303,14 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
 
 
 def _in_an_epoch(settings: Settings) -> dict:
-    """Return the settings that the program of an epoch depends on."""
+    """Return the settings on which the compiled program of an epoch depends."""
     dropout = settings.encoder != "compact"
     return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 
 @jit
 def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: int, width, penalty, dropout: bool):
-    """Run one epoch over shuffled minibatches as one compiled scan; an incomplete batch waits for the next shuffle."""
+    """Run one epoch over shuffled minibatches as one compiled scan; an incomplete batch is left out."""
     count = max(data.force.shape[0] // batch, 1)
     size = min(batch, data.force.shape[0])
     shuffle, drop = jax.random.split(key)
@@ -334,7 +335,7 @@ def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: 
 
 
 def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) -> np.ndarray:
-    """Return the lowest and highest value of every feature, with the learned memories, shape (features, 2)."""
+    """Return the lowest and highest value of every feature, with the trained memories, shape (features, 2)."""
     n, seen = model.order, [slow.features(model)] if slow else []
     for features, valid in zip(data.features, data.valid, strict=True):
         # free runs changed the time constants, and with them the memories
@@ -344,11 +345,11 @@ def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) ->
 
 
 def _second_mass_hz(model: Model) -> float | None:
-    """Return the eigenfrequency of the second mass alone, Hz; None without one."""
+    """Return the eigenfrequency of the second mass alone, Hz; None without a second mass."""
     memory = model.memory
     return float(memory.ring[0]) / (2 * np.pi) if isinstance(memory, RingingMemory) else None
 
 
 def _level(history: Sequence[dict]) -> float:
-    """Return e_rms (%) of the best free runs; nan if there were none."""
+    """Return e_rms (%) of the best fit of whole simulations; nan if there was none."""
     return float(np.sqrt(min((e["error"] for e in history if e["stage"] == "free runs"), default=np.nan)))

@@ -1,4 +1,4 @@
-"""The first screen of a report: verdict, budget, and where the gap lies, its cause, and its reduction."""
+"""Write the first screen of a report: verdict, budget, and where the gap lies, its cause and its reduction."""
 
 import numpy as np
 
@@ -19,7 +19,7 @@ _HELPS = 0.1  # of the gap: a smaller reduction is reported as nothing
 
 
 def headline(d: Diagnosis) -> str:
-    """Return the verdict in one line."""
+    """Describe the verdict of a diagnosis in one line."""
     if d.effects == ("parameter_change",):
         return "The model's own coefficients have changed; no effect is missing"
     if d.effects:
@@ -31,7 +31,7 @@ def headline(d: Diagnosis) -> str:
 
 
 def verdict_text(d: Diagnosis) -> str:
-    """Return the meaning of the verdict, in one or two sentences."""
+    """Explain the verdict of a diagnosis in one or two sentences."""
     if d.verdict == "no_gap":
         return f"On {_records_used(d)}, {_error_without(d)}. There is no effect to add."
     if d.effects:
@@ -58,7 +58,7 @@ def verdict_text(d: Diagnosis) -> str:
 
 
 def budget_bar(d: Diagnosis) -> str:
-    """Return the gap's energy as one bar that adds to 100 %, with a label for each part."""
+    """Draw the energy of the gap as one HTML bar that adds up to 100 %, with a label for each part."""
     b = d.budget
     if not b:
         return ""
@@ -88,7 +88,7 @@ def budget_bar(d: Diagnosis) -> str:
 
 
 def next_step(d: Diagnosis) -> str:
-    """Return the recommended next step, in one sentence."""
+    """Recommend the next step after a diagnosis, in one sentence."""
     if d.verdict == "no_gap":
         if isinstance(d.model.encoder, ConstantEncoder):
             return "Next: predict and invert with this model; if its error is too large, train it with `pitp fit`."
@@ -159,7 +159,7 @@ def _how_far(d: Diagnosis) -> str:
 
 
 def _in_units(d: Diagnosis) -> str:
-    """Return the error in the output's own unit, rms over the held-out recordings."""
+    """Describe the error before and after in the output's own unit, rms over the held-out recordings."""
     scale, unit = output_unit(d)
     held = [t for t in d.traces if t.heldout] or d.traces
     before, after = (
@@ -170,5 +170,5 @@ def _in_units(d: Diagnosis) -> str:
 
 
 def cards(d: Diagnosis) -> tuple[str, str, str]:
-    """Return the cards "where", "which" and "how far" as HTML."""
+    """Return the cards "where", "which" and "how far" of a diagnosis as HTML."""
     return _where(d), which(d), _how_far(d)

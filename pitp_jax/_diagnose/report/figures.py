@@ -1,4 +1,4 @@
-"""The figures of a diagnosis, on axes the caller may supply: each takes axes and returns them.
+"""Draw the figures of a diagnosis on axes that the caller may supply.
 
 `Diagnosis.as_json` and the report's tables hold every number of the figures. Units are those of the user's files; no
 pyplot, no global style; colours from Okabe and Ito (`_report.lines`).
@@ -37,7 +37,7 @@ _AXES = {
 
 
 def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw the fraction of the missing force by input frequency and amplitude of the motion; flagged cells outlined.
+    """Draw the fraction of the missing force by input frequency and amplitude; flagged cells are outlined.
 
     Args:
         diagnosis: the diagnosis.
@@ -70,7 +70,7 @@ def where_map(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def _edges(set_ticks, pairs, scale: float) -> None:
-    """Set ticks at the edges of cells; where cells between are missing, an edge shows both its sides."""
+    """Label the edges of cells on an axis; where cells are missing in between, a label shows both edges."""
     if pairs:
         inner = [
             digits(scale * b[0], 2) if a[1] == b[0] else f"{digits(scale * a[1], 2)}|{digits(scale * b[0], 2)}"
@@ -80,7 +80,7 @@ def _edges(set_ticks, pairs, scale: float) -> None:
 
 
 def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw how much of the held-out gap every effect closes, with its 95 % interval.
+    """Draw the fraction of the held-out gap that each effect closes, with its 95 % interval.
 
     Args:
         diagnosis: the diagnosis.
@@ -109,7 +109,7 @@ def ranking(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def _bars(diagnosis: Diagnosis) -> list[tuple]:
-    """Return (label, fraction, interval, colour), the hypothesis first if it has two effects."""
+    """Return (label, fraction, interval, colour) of each bar; all reported effects together come first."""
     rows, g = [], diagnosis.gap
     if len(diagnosis.effects) > 1 and g.closed_fraction is not None:
         rows.append(("all named", g.closed_fraction, g.ci95, PREDICTED))
@@ -124,7 +124,7 @@ def _bars(diagnosis: Diagnosis) -> list[tuple]:
 
 
 def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time")) -> np.ndarray:
-    """Draw fractions of the gap along some of its axes, as bars.
+    """Draw the fractions of the error or of the missing force along some axes, as bars.
 
     Args:
         diagnosis: the diagnosis.
@@ -171,7 +171,7 @@ def shares(diagnosis: Diagnosis, axes=None, names=("records", "frequency", "time
 
 
 def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
-    """Return the edges of the bins as text, one more than the bins."""
+    """Return the labels of the bin edges, one more than there are bins."""
     key, factor = {
         "frequency": ("band_hz", 1.0), "time": ("part", 100.0)
     }.get(name, ("range", scale))  # fmt: skip
@@ -183,7 +183,7 @@ def _bin_edges(name: str, table: list[dict], scale: float) -> list[str]:
 
 
 def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
-    """Draw the voltage of the next experiment over time.
+    """Draw the voltage (V or kV) of the proposed next experiment over time (s).
 
     Args:
         diagnosis: one that has a next experiment.
@@ -199,7 +199,7 @@ def excitation(diagnosis: Diagnosis, ax: Axes | None = None) -> Axes:
 
 
 def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
-    """Return all figures for which this diagnosis has data, by file name.
+    """Draw all figures for which the diagnosis has data; return them by file name.
 
     A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """
@@ -215,7 +215,7 @@ def figures(diagnosis: Diagnosis) -> dict[str, Figure]:
 
 
 def _drawn(draw: Callable[[], Axes]) -> Figure:
-    """Return a figure that can be saved: the requested one, or one with the reason why not."""
+    """Draw a figure that can be saved; if drawing fails, return a figure that shows the reason."""
     try:
         figure = cast(Figure, draw().figure)
         figure.draw_without_rendering()  # layout and text fail only here

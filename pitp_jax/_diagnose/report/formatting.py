@@ -1,4 +1,4 @@
-"""Words of a report: effects in plain language, their parameters, and where a gap is concentrated.
+"""Words and numbers of a report: effects in plain language, parameters, and where a gap is concentrated.
 
 a limit is fitted as its inverse, so that zero means no limit, and is shown as the limit itself
 """
@@ -24,7 +24,7 @@ _GATHERED, _OVER = 0.6, 2.0  # a fraction that counts as concentrated, and its l
 
 
 def plain_words(name: str, units: Units) -> str:
-    """Return an effect's meaning in a few plain words."""
+    """Return the meaning of an effect in a few plain words."""
     words = PLAIN.get(name) or next((equation(c) for c in CATALOGUE if c.name == name), "")
     for word, own in (("voltage", units.input_word), ("displacement", units.output_word)):
         if own != word:  # input and output take another article
@@ -33,17 +33,17 @@ def plain_words(name: str, units: Units) -> str:
 
 
 def equation(form: EffectSpec) -> str:
-    """Return a form's law in symbols."""
+    """Return the law of an effect's form in symbols."""
     return form.equation
 
 
 def named(names: Sequence[str]) -> str:
-    """Return names in a row: a, b and c."""
+    """Join names in a sentence: a, b and c."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
 
 
 def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
-    """Return label and text of one parameter in convenient units; a limit as itself.
+    """Return label and text of one parameter in a readable unit; an inverse is shown as the limit itself.
 
     Args:
         name: of the parameter.
@@ -59,7 +59,7 @@ def parameter(name: str, number: dict, length_unit: str) -> tuple[str, str]:
 
 
 def parameter_between(name: str, number: dict, length_unit: str) -> tuple[str, str]:
-    """Return label and text of one parameter with its 95 % interval: `3.1 kV (2.9 to 3.4)`, `at least 7.1 s`.
+    """Return name and text of a parameter with its 95 % interval, such as `3.1 kV (2.9 to 3.4)`.
 
     Args:
         name: of the parameter.
@@ -84,7 +84,7 @@ def _cross(name: str) -> str:
 def _in_handy_units(
     name: str, unit: str, values: Sequence[float], length_unit: str
 ) -> tuple[str, str, tuple[float, ...]]:
-    """Return label, unit as printed and values of one parameter."""
+    """Return label, displayed unit and values of one parameter in a unit that is easy to read."""
     if name.endswith(_FACTOR):
         stem = name.removesuffix(_FACTOR)
         label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
@@ -102,7 +102,7 @@ def _in_handy_units(
 
 
 def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
-    """Return the factor to a unit in which the number is easy to read, and that unit."""
+    """Return the factor to a unit in which a value is easy to read, and the name of that unit."""
     if unit == "s":
         factor, unit = next(p for p in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if abs(value) * p[0] >= 0.1 or p[0] > 1e3)
         return factor, unit
@@ -113,12 +113,12 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
 
 
 def coefficient_name(i: int, order: int) -> str:
-    """Return `a0 (stiffness)`; only coefficients of an order-2 model have names."""
+    """Return a coefficient's displayed name, such as `a0 (stiffness)` at order 2, otherwise `a0`."""
     return f"a{i} ({_COEFFICIENTS[i]})" if order == 2 else f"a{i}"
 
 
 def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str]:
-    """Return where most of the gap lies within a rarely visited part of an axis, the clearest first.
+    """Describe where most of the gap lies within a rarely visited part of an axis, the clearest case first.
 
     Args:
         where: as `Diagnosis.where`.
@@ -146,13 +146,13 @@ def gathers(where: dict, spent: dict[str, np.ndarray], units: Units) -> list[str
 
 
 def drive_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from the input's base unit to the unit shown, V for a voltage, and that unit."""
+    """Return the factor from the input's base unit to the displayed unit (V for a voltage), and its name."""
     shown = "V" if base_unit(unit) == "V" else unit
     return 1 / INPUT_UNITS[shown], shown_unit(shown)
 
 
 def _narrowest(shares: Sequence[float]) -> tuple[int, int] | None:
-    """Return the shortest run of neighbouring bins that holds most of the gap; of several, the one with the most."""
+    """Return (first, last) of the shortest run of neighbouring bins that holds most of the gap."""
     runs = [
         (last - first, -sum(shares[first:last]), first, last)
         for first in range(len(shares))

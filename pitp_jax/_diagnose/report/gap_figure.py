@@ -1,4 +1,4 @@
-"""The gap at a glance: one record, measured, with the model without and with the effects found."""
+"""Draw the gap at a glance: one record, measured, with the model without and with the effects found."""
 
 import numpy as np
 
@@ -13,19 +13,19 @@ _CYCLES = 6  # oscillations in the zoom
 
 
 def output_unit(diagnosis: Diagnosis) -> tuple[float, str]:
-    """Return the factor from m or V to the unit of the user's files, and that unit as printed."""
+    """Return the factor from m or V to the unit of the user's files, and the displayed name of this unit."""
     unit = diagnosis.model.origin.displacement_unit
     return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
 
 
 def worst(diagnosis: Diagnosis) -> Trace:
-    """Return the held-out record with the largest gap relative to its range; a fitted one if none is held out."""
+    """Return the held-out record with the largest error relative to its range; without one, a fitted record."""
     held = [t for t in diagnosis.traces if t.heldout] or list(diagnosis.traces)
     return max(held, key=lambda t: np.nan_to_num(errors(t)[0]))
 
 
 def errors(trace: Trace) -> tuple[float, float]:
-    """Return e_rms (%) of nominal and augmented model on a record (nan if nothing is measured)."""
+    """Return e_rms (% of range) of the nominal and the augmented model on a record; nan without measurement."""
     seen = np.isfinite(trace.measured)
     if not seen.any() or not np.ptp(trace.measured[seen]):
         return float("nan"), float("nan")
@@ -37,7 +37,7 @@ def errors(trace: Trace) -> tuple[float, float]:
 
 
 def telling(trace: Trace) -> slice:
-    """Return the part of about six oscillations in which the nominal's error is largest."""
+    """Return the slice of about six oscillations in which the nominal model's error is largest."""
     e = np.where(np.isfinite(trace.measured), trace.nominal - trace.measured, 0.0)
     x = trace.nominal - np.mean(trace.nominal)
     total = len(e)
@@ -56,7 +56,7 @@ def _loudest(e: np.ndarray, width: int) -> int:
 
 
 def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
-    """Draw measured, nominal and augmented output of the worst held-out record, zoomed, and both errors beneath.
+    """Draw measured, nominal and augmented output of the worst held-out record, with both errors below.
 
     Args:
         diagnosis: the diagnosis; without a gap only the nominal is drawn.
@@ -88,12 +88,12 @@ def gap(diagnosis: Diagnosis, axes=None) -> np.ndarray:
 
 
 def refitted(diagnosis: Diagnosis) -> bool:
-    """Return whether the nominal's coefficients were refitted: its error differs from that of the given model."""
+    """Return whether the nominal's coefficients were refitted: its error differs from the given model's."""
     return diagnosis.gap.before != diagnosis.gap.unrefitted
 
 
 def time_spent(diagnosis: Diagnosis) -> dict[str, np.ndarray]:
-    """Return the fraction of time in every bin of the axes of `Diagnosis.where` that traces cover."""
+    """Return the fraction of time in every bin of displacement, voltage and time of `Diagnosis.where`."""
     model, parts = diagnosis.model, {}
     for axis in ("displacement", "voltage", "time"):
         rows = diagnosis.where[axis]

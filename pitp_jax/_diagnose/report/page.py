@@ -1,4 +1,4 @@
-"""The report: one page whose first screen shows where the gap lies, its cause, and its reduction."""
+"""Write the report: one page whose first screen shows where the gap lies, its cause, and its reduction."""
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -19,7 +19,7 @@ from .words import certainty, numbers_of, result_line
 
 
 def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
-    """Return a self-contained HTML page: verdict, where, which, how far; then figures, tables, and how to read them.
+    """Write a self-contained HTML page: verdict, location, cause and reduction of the gap, figures, tables.
 
     Args:
         diagnosis: result of `diagnose`.
@@ -40,7 +40,7 @@ def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
 
 
 def first_screen(diagnosis: Diagnosis) -> str:
-    """Return the result, its parts, the verdict and the three cards, without the page around."""
+    """Return the result, its parts, the verdict and the three cards as HTML, without the page around them."""
     return "".join(_first(diagnosis))
 
 
@@ -57,7 +57,7 @@ def _first(d: Diagnosis) -> list[str]:
 
 
 def _parts(d: Diagnosis) -> list[str]:
-    """Return the table of the returned model's parts."""
+    """Return an HTML table of the effects in the returned model, with parameters and certainty."""
     if not len(d.parts):
         return []
     header = ("part", "form", "values (95 % interval)", "of the reduction", "P", "certainty")
@@ -70,7 +70,7 @@ def _parts(d: Diagnosis) -> list[str]:
 
 
 def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
-    """Return the figures except that of the next experiment, under their headings."""
+    """Return all figures except that of the next experiment as HTML, under their headings."""
     shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
     rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
     parts = []
@@ -126,7 +126,7 @@ def _ranking(d: Diagnosis) -> list[str]:
 
 
 def _closed(row: Gap | Ranked) -> str:
-    """Return closed fraction and interval of the gap or of one candidate."""
+    """Return the closed fraction of the gap, or of one candidate, with its interval, as text."""
     text, ci = percent(row.closed_fraction), row.ci95
     return text if ci is None else f"{text} ({interval(*ci)})"
 
@@ -159,7 +159,7 @@ def _records(d: Diagnosis) -> list[str]:
 
 
 def _pieces(d: Diagnosis) -> list[str]:
-    """Return the pieces on which the search worked, if the set is long."""
+    """Return an HTML table of the pieces that the search used; empty if it used all samples."""
     if d.pieces is None:
         return []
     rows = [("", (p.record, f"{p.from_s:.6g}", f"{p.to_s:.6g}")) for p in d.pieces]

@@ -1,4 +1,4 @@
-"""The effect card: form and parameters with units, ties, or the reason why no effect is reported."""
+"""Write the effect card: form and parameters with units, ties, or the reason why no effect is reported."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ _NEAREST = 3  # rejected candidates named
 
 
 def which(d: Diagnosis) -> str:
-    """Return the card with the reported effect, or the reason why none is reported."""
+    """Return the card with the reported effects, or with the reason why none is reported, as HTML."""
     if d.effects:
         lines = [_effect(d, name) for name in d.effects]
         if refitted(d):
@@ -39,7 +39,7 @@ def which(d: Diagnosis) -> str:
 
 
 def _term(d: Diagnosis) -> str:
-    """Return the equation found in the data, with its parameters."""
+    """Return the equation found in the data, with its parameters, as HTML."""
     if d.term is None:
         return ""
     share = fraction_closed(d.term.closed_fraction)
@@ -49,7 +49,7 @@ def _term(d: Diagnosis) -> str:
 
 
 def _rivals(d: Diagnosis) -> str:
-    """Return a sentence on the effects tied with the reported one, or on the next best effect."""
+    """Describe the effects tied with the reported one, or the next best effect, in a sentence."""
     if d.equivalent:
         return f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}."
     others = [r for r in d.ranking if r.effect not in d.effects]
@@ -60,12 +60,12 @@ def _rivals(d: Diagnosis) -> str:
 
 
 def fraction_closed(value: float | None) -> str:
-    """Return a closed fraction in words."""
+    """Return a closed fraction as text."""
     return "nothing" if value is None or value < 0.005 else percent(value)
 
 
 def _effect(d: Diagnosis, name: str) -> str:
-    """Return one reported effect: its form and its parameters in the returned model."""
+    """Return one reported effect as HTML: its form and its parameters in the returned model."""
     part = next((p for p in d.parts if p.effect == name), None)
     if part is None:
         return ""
@@ -81,12 +81,12 @@ def _line(d: Diagnosis, name: str, number: dict) -> str:
 
 
 def parameter_lines(d: Diagnosis, row: Ranked) -> list[str]:
-    """Return a candidate's parameters, one text each."""
+    """Return the parameters of a candidate effect, one text each."""
     return [_line(d, name, number) for name, number in row.parameters.items()]
 
 
 def _shift(d: Diagnosis) -> list[str]:
-    """Return refitted over given coefficients, with standard errors if the ranking has them."""
+    """Return the refitted coefficients over the given ones as texts, with standard errors if known."""
     row = next((r for r in d.ranking if r.effect == "parameter_change"), None)
     order, lines = len(d.shift) - 1, []
     for i, factor in enumerate(d.shift):

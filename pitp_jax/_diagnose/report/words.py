@@ -1,4 +1,4 @@
-"""A diagnosis in a few lines: the returned model and its parts with parameters, the verdict, the next step."""
+"""Describe a diagnosis in a few lines: the returned model, its effects, the verdict, the next step."""
 
 from ..._model.units import units_of
 from ..._report.numbers import interval, of_range, percent
@@ -6,7 +6,7 @@ from .formatting import named, parameter_between, plain_words
 
 
 def lines(d) -> list[str]:
-    """Return the lines for the terminal."""
+    """Return the lines of a diagnosis for the terminal."""
     from .answers import next_step  # the page's cards use the same words
 
     told = [result_line(d), *(f"  {line}" for line in part_lines(d))]
@@ -29,7 +29,7 @@ def lines(d) -> list[str]:
 
 
 def result_line(d) -> str:
-    """Return a line on the returned model's reduction of the error, out of sample."""
+    """Describe by how much the returned model reduces the error, out of sample, in one line."""
     g = d.gap
     if d.verdict == "no_gap":
         which = "refitted nominal model" if d.handed_back else "nominal model"
@@ -52,7 +52,7 @@ def result_line(d) -> str:
 
 
 def part_lines(d) -> list[str]:
-    """Return a line for every part of the returned model: parameters with intervals, contribution and certainty."""
+    """Return one line per added effect: parameters with intervals, contribution and certainty."""
     told = []
     for part in d.parts:
         line = f"{part.effect} ({part.form}): {', '.join(numbers_of(d, part))}"
@@ -61,14 +61,14 @@ def part_lines(d) -> list[str]:
 
 
 def numbers_of(d, part, equals: str = " ") -> list[str]:
-    """Return the parameters of a part, one text each."""
+    """Return the parameters of an added effect, one text each."""
     unit = d.model.origin.displacement_unit
     texts = (parameter_between(name, number, unit) for name, number in part.parameters.items())
     return [f"{label}{equals}{text}" for label, text in texts]
 
 
 def contribution(part) -> list[str]:
-    """Return the part's fraction of the reduction, and P; empty for coefficients of a refit."""
+    """Return an added effect's fraction of the reduction, with P; empty for refitted coefficients."""
     if not part.fraction:
         return []
     sure = "" if part.probability is None else f", P {part.probability:.2f}"
@@ -76,7 +76,7 @@ def contribution(part) -> list[str]:
 
 
 def certainty(part) -> str:
-    """Return the certainty of a part in words."""
+    """Describe the certainty of an added effect in words."""
     if part.certainty == "tied":
         return f"tied: these recordings do not separate it from {named(part.tied)}"
     if part.certainty == "likely":
