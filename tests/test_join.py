@@ -102,4 +102,4 @@ def test_a_proposed_join_in_the_own_command():
     text = "pitp: error: u.csv: x; try: pitp check d/u.csv --join d/y.csv d/z.csv"
     argv = ["identify", "d", "--join", "d/y.csv", "--out", "m"]
     assert own_command(text, argv).endswith("try: pitp identify d --out m --join d/y.csv d/z.csv")
-    assert own_command(text, ["compare", "d", "e"]).endswith('join = ["y.csv", "z.csv"]')
+    assert own_command(text, ["compare", "d", "e"]).endswith('"*" = {join = ["y.csv", "z.csv"]}')
