@@ -18,7 +18,7 @@ from .._structure.choice import STRUCTURES, Choice, Fitting, choose, impose
 from .._train.cross_validation import cross_validate as run_cross_validate
 from .._train.cross_validation import with_left_out
 from .._train.settings import preset_of
-from .._train.training import train
+from .._train.training import Training, train
 from .compatibility import check_belongs
 from .console import ProgressBar, number, say
 from .fit_errors import errors_json, explained, print_errors, suspects
@@ -82,22 +82,8 @@ def fit(
         _report(done.model, read_in, report, out)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
-    summary = describe(done.model)
-    seconds, names = number(done.notes.get("seconds"), 3), done.notes.get("records", [r.name for r in read_in])
     explains, warning = explained(done.errors, read_in, first)
-    if warning:
-        print(f"warning: {warning}")
-    if line := fallback_line(done.notes):
-        print(line)
-    print(f"trained a model of order {summary['order']} on {listed(names)} in {seconds} s")
-    if structure != "encoder":
-        print(_structure_line(chosen))
-    print(sensor_line(done.model))
-    for line in done.notes.get("left_out", ()):
-        print(line)
-    print_history(done.history)
-    for effect in summary["effects"]:
-        print(f"with {in_words(effect)}")
+    _print_training(done, [r.name for r in read_in], warning, "" if structure == "encoder" else _structure_line(chosen))
     if cross_validate and chosen.structure == "encoder":
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
         held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressBar().update, **how)
@@ -121,6 +107,24 @@ def _structured(structure: str, fitting: Fitting, records: Sequence[Record], cro
     if structure == "encoder" or done.interrupted:
         return Choice("encoder", "given by --structure" if structure == "encoder" else "interrupted", done)
     return choose(fitting, records, done)
+
+
+def _print_training(done: Training, names: Sequence[str], warning: str | None, structure: str) -> None:
+    """Print how a model was trained: warnings, order, recordings, time, structure, history and effects."""
+    summary, seconds = describe(done.model), number(done.notes.get("seconds"), 3)
+    if warning:
+        print(f"warning: {warning}")
+    if line := fallback_line(done.notes):
+        print(line)
+    print(f"trained a model of order {summary['order']} on {listed(done.notes.get('records', names))} in {seconds} s")
+    if structure:
+        print(structure)
+    print(sensor_line(done.model))
+    for line in done.notes.get("left_out", ()):
+        print(line)
+    print_history(done.history)
+    for effect in summary["effects"]:
+        print(f"with {in_words(effect)}")
 
 
 def _structure_line(chosen: Choice) -> str:

@@ -92,16 +92,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
         if base.rms <= rules.OWN * noise and probability(least, base.evidence, rules.FIRST) < rules.SURE:
             return answer("no_gap", reason="The remaining error is the sensor's noise.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
-    p, rivals, taken = {}, {}, closing_fractions(search, chosen)
+    taken = closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
-    for name, label in zip(chosen.names, chosen.labels, strict=True):
-        if (
-            fractions[label] < rules.LISTED
-        ):  # never reported, so not searched: a third of a joint's diagnosis went into these searches
-            continue
-        # searched anew without the effect, because its alternative may not have been tried yet
-        rivals[name] = rival_without(search, chosen, {name})
-        p[label] = needed(chosen, rivals[name])
+    p, rivals = _without_each(search, chosen, fractions)
     if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
@@ -152,6 +145,21 @@ def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
     A smaller difference depends on the simulator's own error.
     """
     return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
+
+
+def _without_each(search: Search, chosen: Hypothesis, fractions: dict[str, float]):
+    """Search again without each effect that may be reported, because its alternative may not have been tried yet.
+
+    Returns:
+        the probability that each effect is needed, by label, and the best set without it, by search name.
+    """
+    p, rivals = {}, {}
+    for name, label in zip(chosen.names, chosen.labels, strict=True):
+        # a smaller one is never reported; a third of a joint's diagnosis went into these searches
+        if fractions[label] >= rules.LISTED:
+            rivals[name] = rival_without(search, chosen, {name})
+            p[label] = needed(chosen, rivals[name])
+    return p, rivals
 
 
 def _still_needed(search: Search, chosen: Hypothesis, deepest: Hypothesis) -> bool:
