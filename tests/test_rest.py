@@ -197,7 +197,7 @@ def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leav
     assert settled_samples(running, OMEGA) == 0
 
 
-@pytest.mark.parametrize("ahead", [0, 3000])
+@pytest.mark.parametrize("ahead", [0, 3000, 9000])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):
     """Three seconds of a trigger's lead hide it as little as none."""
@@ -309,3 +309,10 @@ def test_what_follows_later_does_not_decide_how_a_record_begins(nominal, kind, f
     (some,), _ = beginnings(nominal, [first], [0.0])
     (every,), _ = beginnings(nominal, [whole], [0.0])
     assert some == every and some.begins == kind
+
+
+def test_a_gap_longer_than_the_first_samples_leaves_a_moving_start(nominal):
+    """The first 2,500 readings are lost: the start is estimated from those that follow."""
+    y = np.concatenate([np.full(2500, np.nan), motion(np.tile(SINE, 2))[2500:]])
+    (begun,), (state,) = beginnings(nominal, [Record("late", np.arange(6000) * DT, np.tile(SINE, 2), y)], [0.0])
+    assert begun.begins == "moving" and state is None

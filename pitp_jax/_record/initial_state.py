@@ -182,12 +182,13 @@ def beginning_of(record: Record, ahead: int, span: float) -> Record:
         ahead: samples.
         span: range of the inputs that the model was made with, V.
     """
-    size = ahead
+    lost = first_known(record)
+    size = lost + ahead
     # noise and level of the first samples alone, and of twice as many while the input stands
     while size < record.samples and standing_drive(_first(record, size), span)[0] == size:
         size *= 2
     stands = standing_drive(_first(record, size), span)[0] if size < record.samples else record.samples
-    return _first(record, max(stands, first_known(record)) + ahead)
+    return _first(record, max(stands, lost) + ahead)
 
 
 def _first(record: Record, samples: int) -> Record:

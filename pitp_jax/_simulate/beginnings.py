@@ -155,8 +155,7 @@ def _beginning(model: Model, record: Record, runs: dict[Begins, np.ndarray], beg
     at_zero = starts_at_rest(record, zero, omega)
     if at_zero and not settled and begins == "held" and scores["held", direction] > _HALF * scores["rest", direction]:
         begins = "rest"
-    usual = 2 * np.sqrt(2) * float(model.scales.state[0])  # range of a sine with the deviation of the training records
-    enough = max(3 * noise, 0.002 * max(span, usual), _EXPLAINED * float(np.nanstd(y[:seen])))
+    enough = max(3 * noise, 0.002 * span, _EXPLAINED * float(np.nanstd(y[:seen])))
     if not (at_zero or settled) and scores[begins, direction] > enough:
         return Beginning("moving", polarity, zero, float("inf"))
     if begins == "rest":
