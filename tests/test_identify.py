@@ -17,6 +17,7 @@ from pitp_jax._identify.heldout import Candidate, HeldOut
 from pitp_jax._identify.identification import identify
 from pitp_jax._identify.linear_ode import logs_from_roots
 from pitp_jax._identify.output_error import Structure
+from pitp_jax._model.expected_error import expected_error
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
 TIME = np.arange(SAMPLES) * DT
@@ -233,6 +234,10 @@ def test_what_is_left_out_of_fold_by_band(coefficients):
     width = np.diff(own.edges_hz)[6:-1] * 2 * DT
     assert np.square(own.error)[6:-1] / noise**2 == pytest.approx(width, rel=0.5)
     assert found.model.origin.out_of_fold == own
+    # the error to expect of a motion is then this noise, whatever its frequency and amplitude
+    x = simulate(coefficients(2), SWEEP)
+    expected = expected_error(found.model, x, DT)
+    assert expected is not None and expected.percent == pytest.approx(100 * noise / np.ptp(x), rel=0.1)
 
 
 def test_what_a_search_costs(coefficients):

@@ -122,7 +122,7 @@ def _expect(model: Fitted, planned: Feedforward) -> None:
     """Print the tracking error to expect, or that it is not known for this target."""
     if planned.outside_training_share > WORTH_A_LINE:
         print("expected tracking error: not known, because the model was not trained with such a motion")
-    elif expected := expected_error(model, planned.wanted):
+    elif expected := expected_error(model, planned.wanted, float(planned.time[1] - planned.time[0])):
         print(f"expected tracking error: {number(expected.percent, 2)} % of range ({expected.source})")
 
 

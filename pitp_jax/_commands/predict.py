@@ -50,7 +50,7 @@ def predict(model, records, out, json_file, reading) -> None:
             for record, prediction, file in zip(read_in, predictions, files, strict=True):
                 _write_record(stage / file, record, prediction)
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
-    _print_scores(result, predictions, [expected_error(loaded, p.displacement) for p in predictions])
+    _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(

@@ -45,7 +45,7 @@ from .select_records import usable
 from .shares import budget as budget_of
 from .term import Term, term_of
 from .traces import Trace, traces_of
-from .verdict import Decision, decide, needed, rival_without
+from .verdict import Decision, decide, needed, rival_without, separable
 from .where import locate, motions, nowhere
 
 T = TypeVar("T")
@@ -412,8 +412,8 @@ def _shift(case: Case, fit, model: Model) -> np.ndarray:
 def _experiment(search: Search, decision: Decision, limit: Budget) -> Experiment | None:
     """Return an experiment that separates the tied effects, or the effects that prevented a verdict."""
     best, names = decision.chosen, decision.rivals
-    if decision.said and decision.tied.get(decision.said[0]):
-        names = decision.said[0], decision.tied[decision.said[0]][0]
+    if decision.said and (tied := separable(search, decision, decision.said[0])):
+        names = decision.said[0], tied[0]
     if not names or not best.names or not limit.allows("an experiment that separates the tied names"):
         return None
     lacking = dict(zip(best.labels, best.names, strict=True)).get(names[0])

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._model.model import Model
+from .._record.excited import distinct
 from .._record.record import Record
 from .._simulate.prediction import at_rate
 from .data import THINNED_SAMPLES, steps_a_sample, thinning
@@ -53,8 +54,8 @@ def cut(model: Model, records: Sequence[Record]) -> tuple[tuple[Record, ...], tu
     k = thinning(model, nominal, records, most=np.inf)
     steps = steps_a_sample(nominal, k * records[0].dt)
     most = int(min(THINNED_SAMPLES, RUN_STEPS / steps)) * k
-    # one piece of each distinct recording, as far as the pieces remain long enough
-    groups = len(_distinct(_features(model, [_all(r) for r in records], records), _OTHER))
+    # one piece of each distinct excitation, as far as the pieces remain long enough
+    groups = len(distinct([r.voltage for r in records], records[0].dt))
     size = max(most // max(groups, _PIECES), min(_SHORTEST * k, most // _PIECES))
     windows = [w for r in records for w in _windows(r, size)]
     chosen, total = [], 0
@@ -89,10 +90,6 @@ def _piece(window: _Window) -> Piece:
     return Piece(window.record.name, float(time[window.first] - time[0]), float(time[window.last - 1] - time[0]))
 
 
-def _all(record: Record) -> _Window:
-    return _Window(record, 0, record.samples)
-
-
 def _windows(record: Record, size: int) -> list[_Window]:
     """Cut a record into equal windows of at most `size` samples; return the windows with enough motion."""
     edges = np.linspace(0, record.samples, -(-record.samples // size) + 1).astype(int)
@@ -122,15 +119,6 @@ def _features(model: Model, windows: Sequence[_Window], records: Sequence[Record
         mean = np.array([np.nanmean(p) if np.isfinite(p).any() else 0.0 for p in parts])
         columns += [spread / spread.max(), hertz, mean / max(np.ptp(mean), 2 * spread.max())]
     return np.stack(columns, 1)
-
-
-def _distinct(features: np.ndarray, apart: float) -> list[int]:
-    """Return the indices of feature vectors that are at least `apart` from each other."""
-    kept: list[int] = []
-    for n, row in enumerate(features):
-        if not kept or np.linalg.norm(features[kept] - row, axis=1).min() > apart:
-            kept.append(n)
-    return kept
 
 
 def _farthest(features: np.ndarray, owners: Sequence[int]) -> list[int]:

@@ -21,13 +21,15 @@ from .._effects import effect
 from .._errors import BadInput, ComputationFailed
 from .._model.coverage import with_excited
 from .._model.domain import Domain
+from .._model.expected_error import error_table
 from .._model.fitted import Fitted
 from .._model.input_map import INPUT_MAPS
 from .._model.model import Hold, Output, linear_model
 from .._model.origin import Origin, OutOfFold
 from .._model.substeps import substeps
 from .._model_file.lineage import descended
-from .._record.initial_state import Beginning, aligned, noise_std, rest_level
+from .._record.excited import Table
+from .._record.initial_state import INITIAL_SAMPLES, Beginning, aligned, noise_std, rest_level
 from .._record.long_record import thinned
 from .._record.record import Record
 from .._record.reduced import averaged, block_size
@@ -40,13 +42,14 @@ from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
 from .heldout import Candidate, out_of_fold
 from .order_fit import OrderFit, covariance, describe, zero_of
-from .output_error import Problem, build_problem, check_motion, least_squares, solve
+from .output_error import Problem, build_problem, check_motion, driven, least_squares, own_columns, solve
 from .remarks import refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choice costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
+_STANDS = 1e-3  # of the input's range: a smaller change at the start is none
 _SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
 _NONE = (
     "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
@@ -186,9 +189,10 @@ def identify(
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
     begun = _fitted(begun, chosen, whole)
     own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
+    errors = _errors(chosen, whole)
     said = tuple(remarks(fit, chosen, small, every=order == "auto"))
     explained, warning = explains(chosen, candidates, whole)
-    model = descended(_to_model(fit, records, begun, input_map, own, said), "identify", records)
+    model = descended(_to_model(fit, records, begun, input_map, own, errors, said), "identify", records)
     names = [r.name for r in records]
     beginnings = dict(zip(names, begun, strict=True))
     return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
@@ -324,8 +328,31 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
     return fitted
 
 
+def _errors(chosen: Candidate, problem: Problem) -> Table:
+    """Tabulate the errors on the records; a settled record has the sensor offset of its start, as in a prediction."""
+    places = range(len(problem.drive))
+    driven_runs = [driven(chosen.params, chosen.structure, problem, k) for k in places]
+    solved, runs, errors = solve(chosen.params, chosen.structure, problem, driven_runs), [], []
+    for k in places:
+        error, drive = np.where(problem.weight[k] > 0, solved.residuals[k], np.nan), problem.drive[k]
+        if problem.beginnings[k].begins == "held":
+            stands = int(np.argmax(np.abs(drive - drive[0]) > _STANDS * np.ptp(drive)))
+            first = error[: max(stands, INITIAL_SAMPLES)]
+            error = error - (first[np.isfinite(first)].mean() if np.isfinite(first).any() else 0.0)
+        own = own_columns(chosen.params, chosen.structure, problem, k)[0] @ solved.own[k]
+        runs.append(problem.scale * (solved.gains[0] * driven_runs[k] + own))
+        errors.append(problem.scale * error)
+    return error_table(runs, errors, problem.dt)
+
+
 def _to_model(
-    chosen: OrderFit, records, begun: Sequence[Beginning], input_map: str, own: OutOfFold, said: tuple[str, ...]
+    chosen: OrderFit,
+    records,
+    begun: Sequence[Beginning],
+    input_map: str,
+    own: OutOfFold,
+    errors: Table,
+    said: tuple[str, ...],
 ) -> Fitted:
     """Return the fitted model; the scale of state i is rms displacement times omega^i, omega = (a_0 / a_n)^(1/n)."""
     n = chosen.order
@@ -350,6 +377,7 @@ def _to_model(
         noise=noise,
         level=float("nan") if long is None else 100 * chosen.rms / long.range,
         out_of_fold=own,
+        errors=errors,
         remarks=said,
         identified_on=tuple(r.name for r in records),
         long_record=long,

@@ -43,6 +43,7 @@ class Origin:
         adapted: one entry for every `adapt`: its records and the changed parameters.
         lineage: one entry for every step that made the model (`_model_file.lineage`), oldest first.
         excited_input, excited_output: what excited the model (`_record.excited`), base units; empty where not known.
+        errors: by frequency and amplitude (`expected_error.error_table`), base unit; empty where not known.
     """
 
     displacement_unit: str = "m"
@@ -61,3 +62,4 @@ class Origin:
     lineage: tuple[dict[str, Any], ...] = ()
     excited_input: Table = ()
     excited_output: Table = ()
+    errors: Table = ()

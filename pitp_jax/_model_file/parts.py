@@ -247,6 +247,7 @@ def origin_of(header: dict) -> Origin:
         identified_on=tuple(map(str, stored["identified_on"])),
         excited_input=_table(stored, "excited_input"),
         excited_output=_table(stored, "excited_output"),
+        errors=_table(stored, "errors"),
         long_record=unpacked(header["long_record"]),
         training=None if stored["training"] is None else dict(stored["training"]),
         adapted=tuple(map(dict, stored["adapted"])),
@@ -255,8 +256,8 @@ def origin_of(header: dict) -> Origin:
 
 
 def _table(stored: dict, name: str) -> Table:
-    """Restore a table of excited frequencies and amplitudes; empty for files without one."""
-    return tuple((float(hz), float(reached), float(part)) for hz, reached, part in stored.get(name, ()))
+    """Restore a table with a row of three numbers for every frequency; empty for files without one."""
+    return tuple((float(hz), float(amplitude), float(value)) for hz, amplitude, value in stored.get(name, ()))
 
 
 def _without_control(value: Any) -> Any:

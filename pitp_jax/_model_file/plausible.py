@@ -70,9 +70,9 @@ def _history(origin: dict) -> dict[str, bool]:
     numbers = [training.get(key) or 0.0 for key in ("seconds", "creep_held_to_s", "second_mass_hz")]
     changes = [change for entry in adapted for change in entry["changed"].values()]
     sources = [record for entry in lineage for record in entry.get("records", ())]
-    excited = [row for name in ("excited_input", "excited_output") for row in origin.get(name, ())]
+    excited = [row for name in ("excited_input", "excited_output", "errors") for row in origin.get(name, ())]
     return {
-        "excited cells that are no rows of three numbers": all(
+        "cells of frequency that are no rows of three numbers": all(
             len(row) == 3 and row[0] > 0 and all(math.isfinite(v) and v >= 0 for v in row) for row in excited
         ),
         "names of records that are no text": all(isinstance(name, str) for name in names),

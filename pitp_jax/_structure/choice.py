@@ -21,7 +21,7 @@ from .._model.model import Model
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._train.cross_validation import HeldOut
-from .._train.errors import errors
+from .._train.errors import Tested, errors
 from .._train.settings import Settings
 from .._train.training import Training, train
 from .left_out import Identify, errors_left_out, folds_of
@@ -124,7 +124,7 @@ def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training, 
     every = errors_left_out(
         STRUCTURES, moving, folds, how.identify, physical, settings=how.settings, key=how.key, progress=how.progress
     )
-    grouped = {s: _by_excitation(e, folds.excitations) for s, e in every.items()}
+    grouped = {s: _by_excitation(_percent(e), folds.excitations) for s, e in every.items()}
     still = np.array([100 * np.nanstd(r.displacement) / r.span for r in moving])
     chosen, reason = best_structure(grouped, _by_excitation(still, folds.excitations))
     training = encoder
@@ -186,8 +186,14 @@ def _by_excitation(values: np.ndarray, excitations: Sequence[Sequence[int]]) -> 
     return np.array([np.exp(np.mean(np.log(np.maximum(values[list(e)], 1e-9)))) for e in excitations])
 
 
-def _held_out(training: Training, moving: Sequence[Record], predicted: np.ndarray) -> tuple[HeldOut, ...]:
+def _percent(found: Sequence[Tested]) -> np.ndarray:
+    return np.array([t.percent for t in found])
+
+
+def _held_out(training: Training, moving: Sequence[Record], predicted: Sequence[Tested]) -> tuple[HeldOut, ...]:
     """Return the fitted and the predicted error of each recording, in the order of the training's list."""
     fitted = dict(zip((r.name for r in moving), errors(training.model, moving).tolist(), strict=True))
-    left_out = dict(zip((r.name for r in moving), predicted.tolist(), strict=True))
-    return tuple(HeldOut(e.name, fitted[e.name], left_out[e.name]) for e in training.errors)
+    left_out = dict(zip((r.name for r in moving), predicted, strict=True))
+    return tuple(
+        HeldOut(e.name, fitted[e.name], left_out[e.name].percent, cells=left_out[e.name].cells) for e in training.errors
+    )

@@ -4,14 +4,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float
 
 from .._errors import BadInput, ComputationFailed
 from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.excited import distinct
 from .._record.record import Record
-from .._train.errors import errors
+from .._train.errors import Tested, tested
 from .._train.settings import Settings
 from .._train.training import train
 from .physical import Physical
@@ -46,8 +45,8 @@ def folds_of(records: Sequence[Record]) -> Folds:
 def errors_left_out(
     structures: Sequence[str], records: Sequence[Record], folds: Folds, identify: Identify, physical: Physical | None,
     *, settings: Settings, key, progress=lambda _: None,
-) -> dict[str, Float[np.ndarray, " records"]]:  # fmt: skip
-    """Return e_rms (% of range) of each recording, predicted by every structure fitted without its excitation.
+) -> dict[str, list[Tested]]:  # fmt: skip
+    """Return the errors of each recording, predicted by every structure fitted without its excitation.
 
     Args:
         structures: of "physical", "encoder" and "both".
@@ -61,13 +60,14 @@ def errors_left_out(
     """
     short = replace(settings, refine_steps=min(settings.refine_steps, _STEPS), starts=1,
                     stages=min(settings.stages, _STAGES))  # fmt: skip
-    found = {s: np.full(len(records), np.inf) for s in structures}
+    found = {s: [Tested(np.inf, ())] * len(records) for s in structures}
     for fold in folds.folds:
         others = [r for k, r in enumerate(records) if k not in fold]
-        tested = [records[k] for k in fold]
-        for structure, model in _fitted(structures, others, {r.name for r in tested}, identify, physical, short, key,
+        left_out = [records[k] for k in fold]
+        for structure, model in _fitted(structures, others, {r.name for r in left_out}, identify, physical, short, key,
                                         progress):  # fmt: skip
-            found[structure][list(fold)] = errors(model, tested)
+            for k, errors in zip(fold, tested(model, left_out), strict=True):
+                found[structure][k] = errors
     return found
 
 

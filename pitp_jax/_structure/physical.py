@@ -102,6 +102,7 @@ def as_training(model: Model, nominal: Model | Fitted, records: Sequence[Record]
         "history": [], "left_out": [], "errors": {e.name: [e.nominal, e.trained] for e in compared.errors},
         "interrupted": False, "fallback": None,
     }  # fmt: skip
-    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=compared.mean)
+    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=compared.mean,
+                     errors=())  # fmt: skip
     fitted = Fitted(fitted_of(model).model, with_excited(origin, records))
     return Training(descended(fitted, "fit", records, parent), (), False, notes, compared.errors)

@@ -11,11 +11,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from .._errors import BadInput, ComputationFailed
+from .._model.expected_error import merged
 from .._model.fitted import Fitted
 from .._model.model import Model
+from .._record.excited import Table
 from .._record.initial_state import in_motion
 from .._record.record import Record
-from .errors import errors
+from .errors import errors, tested
 from .training import train
 
 _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warning
@@ -25,13 +27,15 @@ _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warni
 class HeldOut:
     """The errors of one record, e_rms in %: fitted with all records, and predicted by a model of the others.
 
-    `problem`: why training on the other records failed; then `predicted` is infinite.
+    `problem`: why training on the other records failed; then `predicted` is infinite. `cells`: the predicted error by
+    frequency and amplitude (`error_table`).
     """
 
     name: str
     fitted: float
     predicted: float
     problem: str = ""
+    cells: Table = ()
 
     @property
     def suspect(self) -> bool:
@@ -41,10 +45,11 @@ class HeldOut:
 
 
 def with_left_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
-    """Store the errors of held-out recordings in the model's origin, % of range; None where training failed."""
+    """Store the errors of held-out recordings in the model's origin: % of range (None: training failed), and cells."""
     errors = {h.name: h.predicted if math.isfinite(h.predicted) else None for h in held_out}
     training = {**(model.origin.training or {}), "left_out_errors": errors}
-    return Fitted(model.model, replace(model.origin, training=training))
+    cells = merged([cell for h in held_out for cell in h.cells])
+    return Fitted(model.model, replace(model.origin, training=training, errors=cells))
 
 
 def cross_validate(
@@ -89,4 +94,5 @@ def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained
         blind = trained((start, others)).model
     except (BadInput, ComputationFailed) as error:  # only this fold fails; the others remain valid
         return HeldOut(one.name, fitted, float("inf"), str(error))
-    return HeldOut(one.name, fitted, float(errors(blind, [one])[0]))
+    (found,) = tested(blind, [one])
+    return HeldOut(one.name, fitted, found.percent, cells=found.cells)

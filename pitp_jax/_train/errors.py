@@ -15,11 +15,13 @@ import numpy as np
 from jaxtyping import Float
 
 from .._metrics import e_rms_percent
+from .._model.expected_error import error_table
 from .._model.fitted import Fitted
 from .._model.model import Model
+from .._record.excited import Table
 from .._record.initial_state import noise_std
 from .._record.record import Record
-from .._simulate.prediction import predict
+from .._simulate.prediction import Prediction, predict
 
 _ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: the effect of noise on a fit
 _DIVERGED = 1e6  # %; the value of a diverged run, so that means and ratios stay finite
@@ -46,11 +48,33 @@ class RecordError:
         return not self.trained <= _allowed(self.nominal, self.noise)
 
 
+@dataclass(frozen=True)
+class Tested:
+    """The error of one simulated record: e_rms in % of range, and by frequency and amplitude (`error_table`)."""
+
+    percent: float
+    cells: Table
+
+
 def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
     """Compute e_rms (%) of the simulation of every record; infinite if it diverges, 0 if nothing can be scored."""
-    runs = predict(model, records)
-    values = [e_rms_percent(p.displacement, r.displacement, p.scored) for p, r in zip(runs, records, strict=True)]
-    return np.nan_to_num(np.array(values), nan=0.0, posinf=np.inf)
+    return np.array([percent_of(p, r) for p, r in zip(predict(model, records), records, strict=True)])
+
+
+def tested(model: Model | Fitted, records: Sequence[Record]) -> list[Tested]:
+    """Simulate every record, and return its errors; there are no cells if it diverges."""
+    found = []
+    for p, r in zip(predict(model, records), records, strict=True):
+        error = np.where(p.scored, p.displacement - r.displacement, np.nan)
+        cells = () if p.diverged else error_table([p.displacement], [error], r.dt)
+        found.append(Tested(percent_of(p, r), cells))
+    return found
+
+
+def percent_of(run: Prediction, record: Record) -> float:
+    """Return e_rms (%) of one simulated record; infinite if it diverged, 0 if nothing can be scored."""
+    value = e_rms_percent(run.displacement, record.displacement, run.scored)
+    return float(np.nan_to_num(value, nan=0.0, posinf=np.inf))
 
 
 @dataclass(frozen=True)

@@ -161,7 +161,8 @@ def train(
     region = _region(chosen.model, data, slow, records[0].dt)
     domain = replace(chosen.model.domain.driven_by(seen), dt=seen[0].dt, region=region)
     # With an encoder, the origin's statements on the coefficients no longer describe the model.
-    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history))
+    origin = replace(parent.origin, covariance=np.zeros((0, 0)), misfit=np.inf, training=notes, level=_level(history),
+                     errors=())  # fmt: skip
     origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
