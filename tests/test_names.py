@@ -22,9 +22,10 @@ from pitp_jax._diagnose.library import (
     bounds,
     forms,
     named,
+    names_of,
 )
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
-from pitp_jax._diagnose.verdict import decide
+from pitp_jax._diagnose.verdict import decide, separable
 from pitp_jax._effects import CATALOGUE, lookup
 
 SCALE = Scale(
@@ -74,13 +75,16 @@ def test_a_spring_of_one_sided_motion_is_named_by_its_own_end(c2, c3):
     assert named("spring", spring, replace(SCALE, bottom=0.0)) == ("stiffening" if c2 > 0 else "softening")
 
 
-@pytest.mark.parametrize("second", [False, True])
-def test_the_slowest_memory_decides_between_relaxation_and_creep(second):
-    """At thousands of the plant's own time constants it creeps; a fast branch beside it changes nothing."""
-    fast, slow = ("creep", "one branch", 0.2, 0.01), ("creep", "one branch", 0.2, 1e4)
-    assert named("viscoelastic", slots(fast), SCALE) == "relaxation"
-    beside = [("relaxation", "one branch", 0.1, 0.02)] if second else []
-    assert named("viscoelastic", slots(slow, *beside), SCALE) == "creep"
+@pytest.mark.parametrize(
+    ("strength", "names"),
+    [(0.0, ("creep",)), (0.01, ("creep",)), (0.1, ("creep", "relaxation")), (0.4, ("relaxation", "creep"))],
+)
+def test_the_stronger_memory_decides_between_relaxation_and_creep(strength, names):
+    """A branch of 112 s and a hundredth of the strength in recordings of 10 s made a creep of a relaxation."""
+    rows = [("creep", "one branch", 0.2, 1e4), ("relaxation", "one branch", strength, 0.02)]
+    assert names_of("viscoelastic", slots(*rows), SCALE, 0.1) == names
+    assert named("viscoelastic", slots(*rows), SCALE) == names[0]
+    assert named("viscoelastic", slots(("creep", "one branch", 0.2, 0.01)), SCALE) == "relaxation"
 
 
 def test_a_resonance_is_sought_where_both_its_sides_were_excited():
@@ -112,11 +116,42 @@ def test_a_number_stays_within_what_was_reached():
     assert at(fit, np.array([np.log(50.0)]), ends)[INDEX["coulomb_friction: Stribeck, speed"]] == 3.0
 
 
-@pytest.mark.parametrize(("lag", "tied"), [(0.11, ("sensor_lag",)), (0.2, ())])
-def test_a_delay_is_tied_with_a_lag_unless_the_band_separates_them(monkeypatch, lag, tied):
-    monkeypatch.setattr(verdict, "reference", lambda case, h, floors: h.evidence)
-    one, other = hypothesis(("delay",), 0.1), hypothesis(("sensor_lag",), lag)
-    assert decide(searched(one, other), 0.0, 0.0, 9).tied["delay"] == tied
+@pytest.mark.parametrize(
+    ("name", "twin", "left", "tied"),
+    [
+        ("sensor_lag", "delay", 0.11, ("delay",)),
+        ("sensor_lag", "delay", 0.2, ()),
+        # input and reading of any plant may be late by the same time
+        ("delay", "sensor_lag", 0.2, ("sensor_lag",)),
+    ],
+)
+def test_a_lag_is_tied_with_a_delay_unless_the_band_separates_them(no_reference, name, twin, left, tied):
+    search = searched(hypothesis((name,), 0.1), hypothesis((twin,), left))
+    found = decide(search, 0.0, 0.0, 9)
+    assert found.tied[name] == tied
+    assert separable(search, found, name) == (() if left > 0.11 else tied)  # no recording separates a late input
+
+
+@pytest.mark.parametrize(("flexible", "verdict_"), [(0.2, "unknown"), (0.5, "partly")])
+def test_changed_coefficients_must_beat_a_flexible_model_of_the_unchanged_plant(monkeypatch, flexible, verdict_):
+    """A flexible model that is added to the refitted linear model is never worse, so it is not the rival."""
+    monkeypatch.setattr(
+        verdict, "reference", lambda case, h, f: hypothesis((), 0.1 if h.fit.free else flexible).evidence
+    )
+    moved = hypothesis((PARAMETERS,), 0.3, numbers=3, labels=("parameter_change",))
+    search = searched(moved)
+    search.base = search.given = replace(search.base, fit=replace(search.base.fit, free=()))
+    search.linear = moved
+    assert decide(search, 0.0, 0.0, 9).verdict == verdict_
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(("taus", "tied"), [((0.2, 0.4), ("relaxation",)), ((0.4, 0.5), ())])
+def test_a_name_that_a_size_decides_is_tied_where_refits_without_a_fold_differ(taus, tied):
+    """The border between creep and relaxation is 15 time constants of the plant, 0.3 s."""
+    creep = hypothesis(("viscoelastic",), 0.3, labels=("creep",))
+    creep = replace(creep, without=np.stack([slots(("creep", "one branch", 0.2, tau)) for tau in taus]))
+    assert decide(searched(creep), 0.0, 0.0, 9).tied["creep"] == tied
 
 
 def hypothesis(names, error, numbers=1, labels=None, seed=0):
@@ -133,7 +168,7 @@ def searched(*sets, own=0.0, refit=False):
     search = Search.__new__(Search)
     base = hypothesis((), 1.0)
     search.base = search.given = search.linear = base
-    search.linears, search.refit, search.own = [base], refit, own
+    search.linears, search.refit, search.own, search.scale = [base], refit, own, SCALE
     search.budget = Budget(0.0)
     search.case, search.floors = (
         cast(Any, SimpleNamespace(blocks=1, recordings={"all": [*range(RECORDS)]})),
@@ -308,6 +343,17 @@ def test_a_refit_at_the_noise_is_no_gap_unless_a_set_is_clearly_better(error, ve
     search = searched(hypothesis(("drag",), error), own=1.0, refit=True)
     assert decide(search, 0.0, 1.0, 6).verdict == verdict_
     assert decide(search, 0.0, 0.8, 6).verdict == "unknown"  # more error than the noise
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize("refit", [False, True])
+@pytest.mark.parametrize(
+    ("error", "usual", "verdict_"), [(0.95, 0.7, "no_gap"), (0.8, 0.7, "unknown"), (0.95, 0.6, "unknown")]
+)
+def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
+    """The white noise is far below the error; the nominal's own recordings had two thirds of it."""
+    search = searched(hypothesis(("drag",), error), own=1.0, refit=refit)
+    assert decide(search, 0.0 if refit else usual, 0.1, 6, usual).verdict == verdict_
 
 
 @pytest.mark.parametrize(

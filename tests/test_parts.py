@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from diagnosis_cases import part
 from played import nominal_of
-from test_names import hypothesis, searched
+from test_names import SCALE, hypothesis, searched
 
 from pitp_jax._diagnose import parts, result, verdict
 from pitp_jax._diagnose.budget import Budget
@@ -53,7 +53,7 @@ def judged(monkeypatch, linear):
             nominal=OFF,
             recordings={"all": [*range(6)]},
         )
-        search.scale, search.movable, search.library = SimpleNamespace(session=0.0), (), []
+        search.scale, search.movable, search.library = SCALE, (), []
         decision = decide(search, 0.0, 0.0, 6)
         added = [(spec(*(handed.fit.value(k) for k in slots_of_row(spec))), slots_of_row(spec)) for spec in effects]
         return parts_of(search, decision, handed, (nominal_of(linear), added))
@@ -119,6 +119,19 @@ def test_a_memory_longer_than_a_third_of_the_recording_has_a_lower_bound(judged)
         low, high = found.parameters["tau"]["ci95"]
         assert (high is None) == (expected is not None)
         assert low == pytest.approx(expected or tau * np.exp(-1.96e-2))
+
+
+@pytest.mark.parametrize(("tau", "known"), [(2.9, True), (3.1, False)])
+def test_a_time_whose_end_was_not_recorded_has_no_error(linear, tau, known):
+    """Recordings of 9 s: 35.4 +- 0.4 s was printed for a memory of recordings of 21 s."""
+    series = [SimpleNamespace(record=SimpleNamespace(time=np.array([0.0, 9.0])))]
+    search: Any = searched()
+    search.case, search.scale = SimpleNamespace(series=series), SCALE
+    fit = fitted(("viscoelastic",), 0.3, {KAPPA: 0.2, TAU: tau}).fit
+    effects = [(CREEP(0.2, tau), (KAPPA, TAU))]
+    (found,) = result.added_of(search, nominal_of(linear), effects, fit, {KAPPA: 0.01, TAU: 0.01})
+    assert found.parameters["kappa"]["stderr"] == pytest.approx(0.2 * 0.01)
+    assert found.parameters["tau"]["stderr"] == (pytest.approx(tau * 0.01) if known else None)
 
 
 @pytest.mark.usefixtures("no_flexible")

@@ -241,15 +241,25 @@ DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for
 # names that are one parameter of the linear model, and those that recordings cannot separate
 LONE = {spec.name for spec in CATALOGUE if spec.moves}
 TWINS = {spec.name: (spec.twin,) for spec in CATALOGUE if spec.twin}
+COMMUTING = {spec.name for spec in CATALOGUE if spec.commutes}
 _MOST_POLES = 4  # of a model whose poles are all in its core, its lag and its filter (`sections`)
 _IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coefficients of a model of this order hold
 
 
 def named(name: str, slots: np.ndarray, scale: Scale) -> str:
     """Return the catalogue name of a fitted effect; sign and time constant decide between similar effects."""
+    return next(iter(names_of(name, slots, scale)), name)
+
+
+def names_of(name: str, slots: np.ndarray, scale: Scale, least: float = 0.0) -> tuple[str, ...]:
+    """Return the catalogue names of a fitted effect's rows, the strongest first; two only if it has two memories.
+
+    A row counts if its first parameter is at least `least` of the strongest row's.
+    """
     mine = [spec for spec in ROWS if group(spec.name) == name != FREE and is_on(spec, slots)]
-    # of two memories the slower one
-    return min((_reported(spec, slots, scale)[0] for spec in mine), default=name)
+    sizes = {spec.key: abs(float(slots[PLACES[spec]][0])) for spec in mine}
+    mine = sorted((s for s in mine if sizes[s.key] >= least * max(sizes.values())), key=lambda s: -sizes[s.key])
+    return tuple(dict.fromkeys(_reported(spec, slots, scale)[0] for spec in mine))
 
 
 def family(name: str) -> str:

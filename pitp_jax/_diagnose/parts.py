@@ -27,7 +27,7 @@ from . import rules
 from .evidence import probability
 from .library import CHANGED, FREE, INDEX, LOGARITHM, ROWS, group, slots_of_row
 from .next_experiment import Experiment, separate
-from .result import errors_of, factor_name, factors_of, in_units
+from .result import errors_of, factor_name, factors_of, in_units, longest_time
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision, closing_fractions, needed, rival_without
 
@@ -167,8 +167,6 @@ class _Numbers:
     def __init__(self, search: Search, h: Hypothesis, model: Model):
         self.search, self.h, self.model = search, h, model
         self.factors = _interval_factors(search, h)
-        longest = max(float(s.record.time[-1] - s.record.time[0]) for s in search.case.series)
-        self.longest, self.session = longest / 3, max(search.scale.session, longest) / 3
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
         """Return the parameters of one part's effects; those of a second effect have the suffix 2."""
@@ -178,7 +176,7 @@ class _Numbers:
             for (p, _), slot in zip(effect.numbers(), slots, strict=True):
                 if p.name in rows and not p.fixed:
                     row = self._with_interval(rows[p.name], slot)
-                    limit = self.session if effect.port == "T" else self.longest
+                    limit = longest_time(self.search, effect.port)
                     if row["unit"] == "s" and row["value"] > limit:
                         row["ci95"] = [min([limit, *(row["ci95"] or [])[:1]]), None]
                     told[f"{p.name} 2" if p.name in told else p.name] = row

@@ -94,6 +94,22 @@ def _inverse(h: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return inverse, (d > 0) & ((axes[:, ~good] ** 2).sum(1) < _LOST)
 
 
+def longest_time(search: Search, port: str) -> float:
+    """Return the longest time constant (s) of an effect at this port whose end the recordings show.
+
+    It is a third of the longest recording, or of the session for a drift.
+    """
+    longest = max(float(s.record.time[-1] - s.record.time[0]) for s in search.case.series)
+    return (max(search.scale.session, longest) if port == "T" else longest) / 3
+
+
+def _in_units(search: Search, model: Model, effect, names: Sequence[str], fit: Fit, errors: dict) -> dict:
+    """Return `in_units`, without a standard error of time constants whose end the recordings do not show."""
+    rows, longest = in_units(model, effect, names, fit, errors), longest_time(search, effect.port)
+    unknown = {"stderr": None}
+    return {k: row | unknown if row["unit"] == "s" and row["value"] > longest else row for k, row in rows.items()}
+
+
 def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[str, float]) -> dict:
     """Return an effect's parameters in physical units, with standard errors; `names`: their names in the fit."""
     rows = {}
@@ -111,7 +127,7 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
 
 def added_of(search: Search, model: Model, added: Sequence[tuple], fit: Fit, errors: dict) -> tuple[Added, ...]:
     """Return the effects that the model adds to the nominal model, with parameters in physical units."""
-    return tuple(Added(e.name, e.form, in_units(model, e, names, fit, errors)) for e, names in added)
+    return tuple(Added(e.name, e.form, _in_units(search, model, e, names, fit, errors)) for e, names in added)
 
 
 def factors_of(search: Search, fit: Fit, errors: dict[str, float]) -> dict:
@@ -141,7 +157,7 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         mine = next(iter(effects_of(fit.slots, search.scale, only=fit.names[0])), None)
         # each needs its own slopes: for the first three, which a reader compares
         errors = errors_of(search, fit) if len(rows) < 3 else {}
-        numbers = in_units(search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
+        numbers = _in_units(search, search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
         moved = label == CHANGED
         form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
         row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))

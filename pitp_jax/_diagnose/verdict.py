@@ -19,7 +19,7 @@ import numpy as np
 
 from . import rules
 from .evidence import Evidence, probability
-from .library import CHANGED, FREE, LONE, TWINS
+from .library import CHANGED, COMMUTING, FREE, LONE, TWINS, names_of
 from .reference import reference
 from .search import PARAMETERS, Hypothesis, Search
 
@@ -63,10 +63,11 @@ class Decision:
     alone: Evidence | None = None
 
 
-def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
+def decide(search: Search, own: float, noise: float, distinct: int, usual: float = 0.0) -> Decision:
     """Judge a search: choose the verdict and the reported effects.
 
-    `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: number of distinct excitations.
+    `own`: the nominal's own error (0: unknown, as in a refit), `noise`: the sensor's, `distinct`: number of distinct
+    excitations, `usual`: the nominal's own error on the recordings of its identification, in a refit too.
     """
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
@@ -87,10 +88,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.rms <= rules.OWN * own:
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
-        # at the noise, and nothing improves the fit significantly, including the reference
+        # near the noise, of any colour, and nothing improves the fit significantly, including the reference
         least = min((bar, *(h.evidence for h in search.every.values())), key=lambda e: e.score)
-        if base.rms <= rules.OWN * noise and probability(least, base.evidence, rules.FIRST) < rules.SURE:
-            return answer("no_gap", reason="The remaining error is the sensor's noise.")
+        near = base.rms <= max(rules.OWN * noise, rules.USUAL * usual)
+        if near and probability(least, base.evidence, rules.FIRST) < rules.SURE:
+            return answer("no_gap", reason="The remaining error is noise: no model of the input predicts it.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
     taken = closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
@@ -98,8 +100,9 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
-    moved = set(chosen.names) <= {PARAMETERS, *LONE}  # a reference on the refitted linear model includes these
-    if not settled and not moved and probability(chosen.evidence, bar) < rules.SURE:
+    # a reference on the refitted linear model includes changed coefficients, so the one on the base is their rival
+    moved = set(chosen.names) <= {PARAMETERS, *LONE}
+    if not settled and probability(chosen.evidence, bars[0] if moved else bar) < rules.SURE:
         return answer("unknown", reason=_FLEXIBLE, **seen)
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
         return answer("unknown", reason=_DIFFERS, **seen)
@@ -127,11 +130,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
         # a narrow band cannot separate these, so they are reported as tied however certain the set is
-        twins = () if _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
+        twins = () if label not in COMMUTING and _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
         if search.refit and label not in LONE:
             twins = ()
         said.append(label)
-        tied[label] = tuple(dict.fromkeys((*equal, *twins)))
+        tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
     open_ = more >= rules.SURE or deepest is not None
@@ -212,6 +215,22 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bo
         if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
             return False
     return True
+
+
+def separable(search: Search, decision: Decision, label: str) -> tuple[str, ...]:
+    """Return the effects tied with a reported one that another recording may separate from it."""
+    tied = decision.tied.get(label, ())
+    name = dict(zip(decision.chosen.labels, decision.chosen.names, strict=True)).get(label, label)
+    if label in COMMUTING and _beats_twin(search, decision.chosen, name, label):
+        return tuple(other for other in tied if other not in TWINS[label])
+    return tied
+
+
+def _other_names(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:
+    """Return the other names of an effect: of a second memory, or in refits without a fold, if sizes decide."""
+    rows = (chosen.fit.slots, *chosen.without)
+    found = dict.fromkeys(other for slots in rows for other in names_of(name, slots, search.scale, rules.LISTED))
+    return tuple(other for other in found if other != label)
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:

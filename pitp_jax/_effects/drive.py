@@ -98,7 +98,7 @@ DRIVE = (
     EffectSpec(
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts after a delay T.",
         "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
-        law=lambda p, u, z: u,
+        commutes=True, law=lambda p, u, z: u,
         # up to a period of the resonance, as behind a bus or a filter
     ),
     EffectSpec(

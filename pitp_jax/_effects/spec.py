@@ -80,6 +80,8 @@ class EffectSpec:
         stiffens: its first parameter is an additional stiffness, in units of the nominal's.
         moves: the parameter of a linear model that it changes: "mass", "gain" or "delay".
         twin: the effect that a linear plant, or one sensor, cannot separate from it for any input.
+        commutes: it acts in the same way on the input and on the reading of every plant, so no recording separates it
+            from its twin.
         second: name and form of the row with the same law for a second time constant.
         reported: fn(p, k, plant), name, form and parameters of the reported row: signs and sizes decide between rows
             with one law. k is the plant's stiffness, `plant` has its tau, area, bottom and top.
@@ -108,6 +110,7 @@ class EffectSpec:
     stiffens: bool = field(default=False, compare=False)
     moves: str = field(default="", compare=False)
     twin: str = field(default="", compare=False)
+    commutes: bool = field(default=False, compare=False)
     second: tuple[str, str] | None = field(default=None, compare=False)
     reported: Callable[..., Any] | None = field(default=None, compare=False)
     needs_mass: bool = field(default=False, compare=False)
