@@ -8,7 +8,6 @@ counts the multiply-adds of the networks at this machine's matrix rate and the a
 both measured in the same run.
 """
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -17,6 +16,7 @@ from pitp_jax import inverse
 from pitp_jax._invert.equation import force_along, scaled_equation
 from pitp_jax._model.equation import equation_force
 from pitp_jax._model.model import Model
+from pitp_jax._model.programs import jit
 from pitp_jax._numerics.spline_derivative import fast_derivatives
 
 from .clock import row, take_turns
@@ -26,13 +26,13 @@ from .subjects import DT, target
 PUBLIC, FAST, PLAIN = "pitp_jax", "pitp_jax, network and inverse", "pitp_jax, network and inverse, vmapped"
 
 
-@eqx.filter_jit
+@jit
 def fast(model: Model, equation, memory):
     """Rows."""
     return model.input_map.voltage(force_along(model, equation, memory) * model.scales.force)
 
 
-@eqx.filter_jit
+@jit
 def plain(model: Model, equation, memory):
     """One instant, vmapped."""
     features = jnp.concatenate([equation[:, :-1], memory], 1)
@@ -51,21 +51,21 @@ def torch_ways(model: Model, equation, memory, truth) -> tuple[dict, str]:
     try:
         import torch
 
-        from .torch_model import Inverse, tensor
+        from .torch_model import Inverse, finished, tensor
     except ImportError as error:
         return {}, f"{error.name} is not installed"
     network = Inverse(model).eval()
     features, rows = tensor(jnp.concatenate([equation[:, :-1], memory], 1).T), tensor(equation.T)
     compiled = torch.compile(network, dynamic=False)
     with torch.inference_mode():
-        found = network(features, rows).numpy()
+        found = network(features, rows).cpu().numpy()
     np.testing.assert_allclose(found, truth, rtol=0, atol=2e-3 * np.abs(truth).max())  # the same network
 
     def with_threads(count, run):
         def call():
             torch.set_num_threads(count)
             with torch.inference_mode():
-                return run().numpy()
+                return finished(run())
 
         return call
 

@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax._model.model import Model
+from pitp_jax._model.programs import jit
 from pitp_jax._simulate.decoder import rest_state, scaled_force
 from pitp_jax._simulate.decoder import step as decoder_step
 
@@ -39,7 +40,7 @@ def slope(model: Model, dt: float, t, state, film):
     return jnp.concatenate([rates * jnp.append(state[1:n], highest), memory])
 
 
-@eqx.filter_jit
+@jit
 def solve(model: Model, films, start, dt: float, solver, controller, step: float | None):
     """States (records, time, state) by diffrax; `step`: first (adaptive: None) or constant step, s."""
 

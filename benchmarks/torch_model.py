@@ -7,6 +7,7 @@ Compact   three small nets and low polynomials (preset default)
 Paper     n + 1 networks, each a branch per input, a fusion and two layers of 128 (the paper, Fig. 3)
 """
 
+import jax
 import numpy as np
 import torch
 from torch import nn
@@ -14,10 +15,19 @@ from torch import nn
 from pitp_jax._model.encoder import PaperEncoder, fast_memories
 from pitp_jax._model.model import Model
 
+DEVICE = "cuda" if jax.default_backend() == "gpu" and torch.cuda.is_available() else "cpu"  # where JAX computes
+
 
 def tensor(array) -> torch.Tensor:
-    """A copy, in the array's precision."""
-    return torch.tensor(np.asarray(array))
+    """A copy on `DEVICE`, in the array's precision."""
+    return torch.tensor(np.asarray(array), device=DEVICE)
+
+
+def finished(result: torch.Tensor) -> torch.Tensor:
+    """The result, computed: a GPU works on after a call returns."""
+    if DEVICE == "cuda":
+        torch.cuda.synchronize()
+    return result
 
 
 class Net(nn.Module):
@@ -42,8 +52,8 @@ class Compact(nn.Module):
         self.spring, self.damping, self.past = Net(encoder.spring), Net(encoder.damping), Net(encoder.past)
         for name in ("spring_poly", "damping_poly", "fading"):
             self.register_parameter(name, nn.Parameter(tensor(getattr(encoder, name))))
-        self.register_buffer("bounds", tensor(encoder.bounds)[:, :, None])
-        self.rows, self.columns = (torch.tensor(i) for i in np.triu_indices(encoder.order))
+        self.register_buffer("bounds", tensor(encoder.bounds.array(np.float32))[:, :, None])
+        self.rows, self.columns = (tensor(i) for i in np.triu_indices(encoder.order))
 
     def forward(self, features):
         seen = torch.maximum(torch.minimum(features, self.bounds[1]), self.bounds[0])

@@ -10,7 +10,7 @@ from torchdiffeq import odeint
 from pitp_jax._model.model import Model
 
 from .ode import EQUAL, LOOSE, error
-from .torch_model import Step, tensor
+from .torch_model import DEVICE, Step, finished, tensor
 
 
 def loop(model: Model, film, start, dt: float):
@@ -27,7 +27,7 @@ def loop(model: Model, film, start, dt: float):
                 forces = (v * v / scale for v in (now, (now + later) / 2, later))
                 state = step(state, *forces)
                 out.append(state[0])
-            return torch.stack(out, 1).numpy()
+            return finished(torch.stack(out, 1))
 
     return run
 
@@ -36,7 +36,7 @@ def solver(model: Model, film, start, dt: float, **options):
     """Fn() -> displacement (records, time), scaled: torchdiffeq, one step size for all records."""
     step, volts, state0 = Step(model, dt).eval(), tensor(film), tensor(start).T.contiguous()
     scale, last = float(model.scales.force), volts.shape[1] - 1
-    times = torch.arange(last + 1) * dt
+    times = torch.arange(last + 1, device=DEVICE) * dt
 
     def slope(t, state):
         place = (t / dt).clamp(0, last)
@@ -47,7 +47,7 @@ def solver(model: Model, film, start, dt: float, **options):
     def run():
         torch.set_num_threads(1)
         with torch.inference_mode():
-            return odeint(slope, state0, times, **options)[:, 0].T.numpy()
+            return finished(odeint(slope, state0, times, **options)[:, 0].T)
 
     return run
 
@@ -64,7 +64,7 @@ def torchdiffeq_ways(model: Model, film, start, truth, dt: float) -> tuple[dict,
     for kind in (constant, adaptive):
         for name, options in kind.items():
             run = solver(model, film, start, dt, **options)
-            errors[name] = error(run()[: len(truth), :, None], truth)
+            errors[name] = error(run().cpu()[: len(truth), :, None], truth)
             if errors[name] <= LOOSE:
                 ways[name] = run
                 if errors[name] <= EQUAL:

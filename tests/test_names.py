@@ -369,6 +369,17 @@ def test_a_refit_at_the_noise_is_no_gap_unless_a_set_is_clearly_better(error, ve
     assert decide(search, 0.0, 0.8, 6).verdict == "unknown"  # more error than the noise
 
 
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize("refit", [False, True])
+@pytest.mark.parametrize(
+    ("error", "usual", "verdict_"), [(0.95, 0.7, "no_gap"), (0.8, 0.7, "unknown"), (0.95, 0.6, "unknown")]
+)
+def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
+    """The white noise is far below the error; the nominal's own recordings had two thirds of it."""
+    search = searched(hypothesis(("drag",), error), own=1.0, refit=refit)
+    assert decide(search, 0.0 if refit else usual, 0.1, 6, usual).verdict == verdict_
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [

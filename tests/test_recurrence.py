@@ -25,7 +25,11 @@ def test_lags_of_a_ramp_on_a_level(steps):
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-12)
 
 
-def test_lags_of_noise_against_scipy():
+@pytest.mark.parametrize("levels", [1, 2, 4])
+def test_lags_of_noise_against_scipy(monkeypatch, levels):
+    """Four levels as on a GPU."""
+    monkeypatch.setattr(linear_recurrence, "_levels", lambda: levels)
+    jax.clear_caches()
     rng, dt, tau = np.random.default_rng(1), 2e-3, np.array([1e-3, 0.05, 2.0])
     x, start = rng.standard_normal(1000), rng.standard_normal(3)
     system = (-np.diag(1 / tau), (1 / tau)[:, None], np.eye(3), np.zeros((3, 1)))
@@ -36,8 +40,8 @@ def test_lags_of_noise_against_scipy():
 
 
 def test_lags_of_records_of_one_length_are_one_program(monkeypatch):
-    traced, blocked = [], linear_recurrence._blocked
-    monkeypatch.setattr(linear_recurrence, "_blocked", lambda *a: (traced.append(1), blocked(*a))[1])
+    traced, states = [], linear_recurrence._states
+    monkeypatch.setattr(linear_recurrence, "_states", lambda *a: (traced.append(1), states(*a))[1])
     for level in (0.0, 1.0, 2.0):
         first_order_lags(jnp.full(37, level), jnp.full(2, 0.1 + level), 0.01, jnp.zeros(2))
     assert len(traced) == 1

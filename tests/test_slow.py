@@ -110,7 +110,7 @@ def test_a_nominal_keeps_it_on_file(nominal, tmp_path):
 
 
 def cost(balance, model, vector):
-    left = balance.errors(model, vector)
+    left = balance.errors(with_parameters(model, vector))
     return left @ left
 
 
@@ -126,12 +126,12 @@ def test_slopes_are_those_of_the_residuals(nominal, records, double):
     start = parameters(model)[0]
     start = start + 0.1 * rng.standard_normal(len(start))
     with jax.enable_x64(True):
-        exact, wide = replace(balance, series=double(balance.series)), double(model)
-        left, slopes = exact.errors(wide, start), exact.slopes(wide, start)
+        exact, wide = replace(balance, series=double(balance.series)), with_parameters(double(model), start)
+        left, slopes = exact.errors(wide), exact.slopes(wide, len(start))
         for _ in range(4):
             d = rng.standard_normal(len(start))
             d /= np.linalg.norm(d)
-            up, down = (exact.errors(wide, start + s * 1e-5 * d) for s in (1, -1))
+            up, down = (exact.errors(with_parameters(wide, start + s * 1e-5 * d)) for s in (1, -1))
             np.testing.assert_allclose((up - down) / 2e-5, slopes @ d, rtol=1e-4, atol=1e-7 * np.abs(slopes @ d).max())
     assert left @ left > 0 and np.abs(slopes).max() > 0
     assert cost(balance, model, start) == pytest.approx(left @ left, rel=1e-3)

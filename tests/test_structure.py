@@ -14,6 +14,7 @@ from pitp_jax._record.excited import distinct
 from pitp_jax._structure.choice import STRUCTURES, Fitting, best_structure, choose, impose
 from pitp_jax._structure.left_out import folds_of
 from pitp_jax._structure.physical import as_training
+from pitp_jax._train.errors import Score
 
 KEY = jax.random.key(3)
 DT = 2e-3
@@ -104,7 +105,7 @@ def fitting(monkeypatch):
         return pitp.identify(some, order=2).model
 
     def train(start, some, *, settings, **how):
-        return as_training(model_of(start), start, some, np.inf)
+        return as_training(model_of(start), start, some, 0.0)  # the search must not end at this time
 
     monkeypatch.setattr("pitp_jax._structure.left_out.train", train)
     monkeypatch.setattr("pitp_jax._structure.choice.train", train)
@@ -125,6 +126,27 @@ def test_a_hardening_spring_predicts_each_excitation_left_out(fitting):
     assert all(e.trained < e.nominal / 4 for e in found.training.errors)
     imposed = impose("physical", how, records, cross_validate=True)
     assert [h.predicted for h in imposed.held_out] == pytest.approx([h.predicted for h in found.held_out], rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("physical", "tried"), [(8.0, ["physical", "encoder"]), (4.0, [*STRUCTURES]), (np.inf, ["physical", "encoder"])]
+)
+def test_networks_beside_effects_are_tried_only_where_these_help(actuator, monkeypatch, physical, tried):
+    """A training with effects takes several times as long as one without."""
+    errors, asked = {"physical": physical, "encoder": 4.1, "both": 1.0}, []
+
+    def left_out(structures, records, *rest, **how):
+        asked.extend(structures)
+        return {s: [Score(errors[s], ())] * len(records) for s in structures}
+
+    chosen = pitp.Training(pitp.Fitted(actuator), (), False)
+    monkeypatch.setattr("pitp_jax._structure.choice.errors_left_out", left_out)
+    monkeypatch.setattr("pitp_jax._structure.choice.find_physical", lambda *_: None)
+    monkeypatch.setattr("pitp_jax._structure.choice.errors", lambda model, records: np.zeros(len(records)))
+    records = [pitp.Record(f"{hz}", TIME, sine(hz), 1e-3 * sine(hz)) for hz in (1.0, 2.0, 4.0)]
+    found = choose(Fitting(actuator, lambda some: actuator, pitp.Settings(), KEY), records, chosen)
+    assert asked == tried == [*found.errors]
+    assert found.structure == ("both" if "both" in tried else "encoder")
 
 
 @pytest.mark.parametrize("count", [1, 8])

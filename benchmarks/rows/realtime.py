@@ -52,13 +52,13 @@ def torch_steps(model, inputs) -> dict:
     try:
         import torch
 
-        from ..torch_model import Inverse
+        from ..torch_model import Inverse, tensor
     except ImportError:
         return {}
     torch.set_num_threads(1)
-    network, memory = Inverse(model).eval(), torch.zeros(model.memory.size, 1)
-    scale = torch.tensor(np.asarray(model.scales.state, np.float32))[:, None]
-    rows = torch.from_numpy(inputs)[:, :, None]
+    network, memory = Inverse(model).eval(), tensor(np.zeros((model.memory.size, 1), np.float32))
+    scale = tensor(np.asarray(model.scales.state, np.float32))[:, None]
+    rows = tensor(inputs)[:, :, None]
 
     def step(wanted):
         scaled = wanted / scale

@@ -36,7 +36,10 @@ def torch_ways(model, film, start, truth) -> tuple[dict, dict, str]:
     part, known = np.asarray(film[:, : STEPS // PART + 1]), truth[:, : STEPS // PART + 1]
     run = loop(model, part, start, DT)
     ways, errors = torchdiffeq_ways(model, part, start, known, DT)
-    ways, errors = {"PyTorch loop": run} | ways, {"PyTorch loop": error(run()[: len(known), :, None], known)} | errors
+    ways, errors = (
+        {"PyTorch loop": run} | ways,
+        {"PyTorch loop": error(run().cpu()[: len(known), :, None], known)} | errors,
+    )
     try:
         from ..deepsi_rollout import subnet
     except ImportError as missing:

@@ -91,9 +91,10 @@ def fit(
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
+    compared = {s: chosen.errors.get(s) for s in STRUCTURES} if chosen.errors else None
     summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback,
                "warning": warning, "structure": chosen.structure, "reason": chosen.reason,
-               "structure_errors": chosen.errors or None}  # fmt: skip
+               "structure_errors": compared}  # fmt: skip
     write_json(json_file, summary)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
     return 0 if explains else 3

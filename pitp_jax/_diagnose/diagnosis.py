@@ -227,7 +227,7 @@ def diagnose(
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
     limit.begin("comparing the best set")
     decision, (handed, made, names_back) = _checked(
-        search, decide(search, own, noise, distinct), model, records, before
+        search, decide(search, own, noise, distinct, found.usual), model, records, before
     )
     failed: list[str] = []
 
@@ -349,6 +349,7 @@ class _Searched:
         pieces: the pieces of the records that the search used; None: all of them.
         before: the nominal's error in the package's free runs.
         own: the nominal's own error, 0 if unknown; source: its origin.
+        usual: the nominal's error on the records of its identification, in a refit too.
         interrupted: whether the user interrupted the search.
     """
 
@@ -356,6 +357,7 @@ class _Searched:
     pieces: tuple[Piece, ...] | None
     before: float
     own: float
+    usual: float
     source: str
     interrupted: bool
 
@@ -369,7 +371,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
     # in a refit the nominal was made from these records, so its error on others is unknown
     misfit, source = own_misfit(case) if not refit else (0.0, "not known in a refit")
-    own, noise = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0))
+    own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, own_misfit(case)[0]))
     search = Search(case, refit, exclude, limit, max(own, noise), misfit)
     own, interrupted = 0.0 if refit else own, False
     if not search.given.reaches(own):
@@ -378,7 +380,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
         except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
             interrupted = True
             limit.stop("the rest of the search (interrupted)")
-    return _Searched(search, pieces, before, own, source, interrupted)
+    return _Searched(search, pieces, before, own, usual, source, interrupted)
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:

@@ -13,6 +13,7 @@ LISTED = 0.1  # of the energy closed: what an effect of a set must add to be rep
 TWICE = 2.0  # times the error: what the best rival must exceed with few excitations; 1.2: one more wrong
 EXCITATIONS = 4  # few are less distinct ones than this; frozen rule on 18 new machines: 5 right and 2 wrong for 5 and 6
 OWN = 1.2  # times the nominal's own error: no gap up to there; at 1.5 an electrode's lag was read as a delay
+USUAL = 1.5  # times it: also no gap where nothing improves the fit; healthy sets of coloured noise have 0.9 to 1.3
 LEFT = 4.0  # times the nominal's own error: above, the verdict is at best partly; planted effects 1.0 to 1.8, a trap 13
 GAIN = 0.02  # a smaller closed fraction of an error counts as none
 TIED = 3  # effects at most that are reported as tied

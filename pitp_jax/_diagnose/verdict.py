@@ -63,10 +63,11 @@ class Decision:
     alone: Evidence | None = None
 
 
-def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
+def decide(search: Search, own: float, noise: float, distinct: int, usual: float = 0.0) -> Decision:
     """Judge a search: choose the verdict and the reported effects.
 
-    `own`: the nominal's own error (0: unknown), `noise`: the sensor's, `distinct`: number of distinct excitations.
+    `own`: the nominal's own error (0: unknown, as in a refit), `noise`: the sensor's, `distinct`: number of distinct
+    excitations, `usual`: the nominal's own error on the recordings of its identification, in a refit too.
     """
     base, chosen = search.base, search.best()
     case, floors = search.case, search.floors
@@ -87,10 +88,11 @@ def decide(search: Search, own: float, noise: float, distinct: int) -> Decision:
     if search.given.reaches(own):
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
-        # at the noise, and nothing improves the fit significantly, including the reference
+        # near the noise, of any colour, and nothing improves the fit significantly, including the reference
         least = min((bar, *(h.evidence for h in search.every.values())), key=lambda e: e.score)
-        if base.reaches(noise) and probability(least, base.evidence, rules.FIRST) < rules.SURE:
-            return answer("no_gap", reason="The remaining error is the sensor's noise.")
+        near = base.rms <= max(rules.OWN * noise, rules.USUAL * usual)
+        if near and probability(least, base.evidence, rules.FIRST) < rules.SURE:
+            return answer("no_gap", reason="The remaining error is noise: no model of the input predicts it.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
     taken = closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}

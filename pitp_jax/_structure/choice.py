@@ -21,13 +21,13 @@ from .._model.model import Model
 from .._record.initial_state import in_motion
 from .._record.record import Record
 from .._train.cross_validation import HeldOut
-from .._train.errors import Tested, errors
+from .._train.errors import Score, errors
 from .._train.settings import Settings
 from .._train.training import Training, train
 from .left_out import Identify, errors_left_out, folds_of
 from .physical import Physical, as_training, find_physical
 
-_TIMES = 4  # of the encoder's training: a search of one, two short trainings in each of three folds, and the last one
+_TIMES = 7  # of the encoder's training, as measured without networks beside effects (docs/decisions/structure.md)
 STRUCTURES = ("physical", "encoder", "both")  # those with the fewest parameters first
 
 
@@ -84,15 +84,16 @@ def best_structure(
         return "encoder", "no structure predicts every excitation left out better than a constant"
     logs = {s: np.log(np.maximum(found[s], 1e-9)) for s in useful}
     best = min(logs, key=lambda s: float(logs[s].mean()))
-    chosen = best
-    for s, log in logs.items():
-        d = log - logs[best]
-        if d.mean() <= d.std(ddof=1) / np.sqrt(len(d)):
-            chosen = s
-            break
+    chosen = next(s for s, log in logs.items() if _as_good(log, logs[best]))
     if chosen == best:
         return best, f"lowest error on {len(constant)} excitations left out"
     return chosen, f"as good as {best} on {len(constant)} excitations left out, with fewer parameters"
+
+
+def _as_good(log: Float[np.ndarray, " excitations"], best: Float[np.ndarray, " excitations"]) -> bool:
+    """Return whether logarithms of errors exceed others by at most the standard error of the mean difference."""
+    d = log - best
+    return bool(d.mean() <= d.std(ddof=1) / np.sqrt(len(d)))
 
 
 def choose(how: Fitting, records: Sequence[Record], encoder: Training) -> Choice:
@@ -113,18 +114,21 @@ def choose(how: Fitting, records: Sequence[Record], encoder: Training) -> Choice
     how.say(f"comparing three structures on {count} excitations, each left out as a whole: about "
             f"{_TIMES * seconds:.0f} s (--structure encoder skips this)")  # fmt: skip
     try:
-        return _compared(how, moving, folds, encoder, seconds)
+        return _compared(how, moving, folds, encoder)
     except KeyboardInterrupt:
         return Choice("encoder", "the comparison was interrupted", replace(encoder, interrupted=True))
 
 
-def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training, seconds: float) -> Choice:
+def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training) -> Choice:
     began = time.monotonic()
-    physical = _searched(how, moving, seconds)
-    every = errors_left_out(
-        STRUCTURES, moving, folds, how.identify, physical, settings=how.settings, key=how.key, progress=how.progress
-    )
-    grouped = {s: _by_excitation(_percent(e), folds.excitations) for s, e in every.items()}
+    physical = _searched(how, moving)
+    every, grouped = {}, {}
+    for structure in STRUCTURES:
+        if structure == "both" and not _helps(grouped):
+            continue
+        every |= errors_left_out([structure], moving, folds, how.identify, physical, settings=how.settings, key=how.key,
+                                 progress=how.progress)  # fmt: skip
+        grouped[structure] = _by_excitation(_percent(every[structure]), folds.excitations)
     still = np.array([100 * np.nanstd(r.displacement) / r.span for r in moving])
     chosen, reason = best_structure(grouped, _by_excitation(still, folds.excitations))
     training = encoder
@@ -135,6 +139,12 @@ def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training, 
             chosen, reason = "encoder", f"{chosen} cannot be fitted to all recordings: {error}"
     means = {s: float(np.exp(np.mean(np.log(e)))) for s, e in grouped.items()}
     return Choice(chosen, reason, training, means, _held_out(training, moving, every[chosen]))
+
+
+def _helps(grouped: dict[str, np.ndarray]) -> bool:
+    """Return whether the effects alone are as good as networks: networks beside worse physics are not trained."""
+    physical, encoder = (np.log(np.clip(grouped[s], 1e-9, 1e9)) for s in ("physical", "encoder"))
+    return bool(np.isfinite(grouped["physical"]).all()) and _as_good(physical, encoder)
 
 
 def impose(structure: str, how: Fitting, records: Sequence[Record], cross_validate: bool = False) -> Choice:
@@ -152,7 +162,7 @@ def impose(structure: str, how: Fitting, records: Sequence[Record], cross_valida
     """
     moving, _ = in_motion(records)
     began = time.monotonic()
-    physical = find_physical(how.nominal, moving, np.inf, how.say)
+    physical = find_physical(how.nominal, moving, how.say)
     training = _trained(structure, how, physical, moving, began)
     held_out: tuple[HeldOut, ...] = ()
     if cross_validate:
@@ -165,9 +175,9 @@ def impose(structure: str, how: Fitting, records: Sequence[Record], cross_valida
     return Choice(structure, "given by --structure", training, held_out=held_out)
 
 
-def _searched(how: Fitting, moving: Sequence[Record], seconds: float) -> Physical | None:
+def _searched(how: Fitting, moving: Sequence[Record]) -> Physical | None:
     try:
-        return find_physical(how.nominal, moving, seconds, how.say)
+        return find_physical(how.nominal, moving, how.say)
     except (BadInput, ComputationFailed) as error:
         how.say(f"no physical model: {error}")
         return None
@@ -186,11 +196,11 @@ def _by_excitation(values: np.ndarray, excitations: Sequence[Sequence[int]]) -> 
     return np.array([np.exp(np.mean(np.log(np.maximum(values[list(e)], 1e-9)))) for e in excitations])
 
 
-def _percent(found: Sequence[Tested]) -> np.ndarray:
+def _percent(found: Sequence[Score]) -> np.ndarray:
     return np.array([t.percent for t in found])
 
 
-def _held_out(training: Training, moving: Sequence[Record], predicted: Sequence[Tested]) -> tuple[HeldOut, ...]:
+def _held_out(training: Training, moving: Sequence[Record], predicted: Sequence[Score]) -> tuple[HeldOut, ...]:
     """Return the fitted and the predicted error of each recording, in the order of the training's list."""
     fitted = dict(zip((r.name for r in moving), errors(training.model, moving).tolist(), strict=True))
     left_out = dict(zip((r.name for r in moving), predicted, strict=True))

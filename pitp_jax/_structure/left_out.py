@@ -10,7 +10,7 @@ from .._model.fitted import Fitted
 from .._model.model import Model
 from .._record.excited import distinct
 from .._record.record import Record
-from .._train.errors import Tested, tested
+from .._train.errors import Score, scores
 from .._train.settings import Settings
 from .._train.training import train
 from .physical import Physical
@@ -45,7 +45,7 @@ def folds_of(records: Sequence[Record]) -> Folds:
 def errors_left_out(
     structures: Sequence[str], records: Sequence[Record], folds: Folds, identify: Identify, physical: Physical | None,
     *, settings: Settings, key, progress=lambda _: None,
-) -> dict[str, list[Tested]]:  # fmt: skip
+) -> dict[str, list[Score]]:  # fmt: skip
     """Return the errors of each recording, predicted by every structure fitted without its excitation.
 
     Args:
@@ -60,13 +60,13 @@ def errors_left_out(
     """
     short = replace(settings, refine_steps=min(settings.refine_steps, _STEPS), starts=1,
                     stages=min(settings.stages, _STAGES))  # fmt: skip
-    found = {s: [Tested(np.inf, ())] * len(records) for s in structures}
+    found = {s: [Score(np.inf, ())] * len(records) for s in structures}
     for fold in folds.folds:
         others = [r for k, r in enumerate(records) if k not in fold]
         left_out = [records[k] for k in fold]
-        for structure, model in _fitted(structures, others, {r.name for r in left_out}, identify, physical, short, key,
-                                        progress):  # fmt: skip
-            for k, errors in zip(fold, tested(model, left_out), strict=True):
+        names = {r.name for r in left_out}
+        for structure, model in _fitted(structures, others, names, identify, physical, short, key, progress):
+            for k, errors in zip(fold, scores(model, left_out), strict=True):
                 found[structure][k] = errors
     return found
 

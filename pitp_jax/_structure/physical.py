@@ -69,15 +69,14 @@ class Physical:
         return made
 
 
-def find_physical(
-    nominal: Model | Fitted, records: Sequence[Record], seconds: float, progress: Callable[[str], None]
-) -> Physical:
+def find_physical(nominal: Model | Fitted, records: Sequence[Record], progress: Callable[[str], None]) -> Physical:
     """Search for effects on the recordings, with the nominal model's coefficients fitted as well.
+
+    The search ends at the simulated steps of a diagnosis, not at a time: a loaded machine finds the same effects.
 
     Args:
         nominal: an identified model.
         records: those that move.
-        seconds: largest computing time of the search, which also ends at the steps of a diagnosis.
         progress: called with one line per step.
     """
     given = fitted_of(nominal)
@@ -85,7 +84,7 @@ def find_physical(
     model = cast(Model, Fitted(given.model.sampled(records[0].dt, given.hold), given.origin))
     pieces, _ = cut(model, records)
     case = build_case(model, pieces, (), records)
-    search = Search(case, True, (), Budget(seconds, progress=progress), beside_noise(case, 0.0, case.thinned))
+    search = Search(case, True, (), Budget(progress=progress), beside_noise(case, 0.0, case.thinned))
     if search.base.rms > rules.OWN * search.own:  # otherwise noise is all that the linear model leaves
         search.run()
     best = search.best()

@@ -25,7 +25,7 @@ from .._model.programs import jit
 from .._record.long_record import LongRecord
 from .._record.preprocess import cutoff, force_band, preprocess
 from .._simulate.decoder import scaled_force
-from .parameters import trainable, with_parameters
+from .parameters import trainable
 
 _WEIGHT = 0.1  # lambda, relative to a mean over records of squares of e_rms in %
 _ENDS, _BELOW = 3.0, 0.7  # weight of the second moment; fraction of the resonance below which a window's motion must be
@@ -67,16 +67,16 @@ class SlowBalance:
     scale: Float[np.ndarray, " windows"]
     seconds: float
 
-    def errors(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, " rows"]:
-        """Compute the residuals for these trained parameters, two per window."""
-        moments = np.asarray(_moments(with_parameters(model, vector), self.series), np.float64)
+    def errors(self, model: Model) -> Float[np.ndarray, " rows"]:
+        """Compute the residuals of a model, two per window."""
+        moments = np.asarray(_moments(model, self.series), np.float64)
         return (self._row_scale[:, None] * moments).ravel()
 
-    def slopes(self, model: Model, vector: np.ndarray) -> Float[np.ndarray, "rows parameters"]:
-        """Compute the residuals' derivatives; those of effect parameters are zero, because effects are ignored."""
-        slopes = np.asarray(_slopes(with_parameters(model, vector), self.series), np.float64)
-        slopes = np.pad(slopes, ((0, 0), (0, 0), (0, len(vector) - slopes.shape[-1])))
-        return (self._row_scale[:, None, None] * slopes).reshape(-1, len(vector))
+    def slopes(self, model: Model, count: int) -> Float[np.ndarray, "rows parameters"]:
+        """Compute the residuals' derivatives by `count` parameters; by those of effects, which are ignored, zero."""
+        slopes = np.asarray(_slopes(model, self.series), np.float64)
+        slopes = np.pad(slopes, ((0, 0), (0, 0), (0, count - slopes.shape[-1])))
+        return (self._row_scale[:, None, None] * slopes).reshape(-1, count)
 
     @property
     def _row_scale(self) -> np.ndarray:

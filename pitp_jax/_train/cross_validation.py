@@ -17,7 +17,7 @@ from .._model.model import Model
 from .._record.excited import Table
 from .._record.initial_state import in_motion
 from .._record.record import Record
-from .errors import errors, tested
+from .errors import errors, scores
 from .training import train
 
 _WORSE = 10.0  # times the fitted error; a larger prediction error gives a warning
@@ -94,5 +94,5 @@ def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained
         blind = trained((start, others)).model
     except (BadInput, ComputationFailed) as error:  # only this fold fails; the others remain valid
         return HeldOut(one.name, fitted, float("inf"), str(error))
-    (found,) = tested(blind, [one])
+    (found,) = scores(blind, [one])
     return HeldOut(one.name, fitted, found.percent, cells=found.cells)

@@ -49,7 +49,7 @@ class RecordError:
 
 
 @dataclass(frozen=True)
-class Tested:
+class Score:
     """The error of one simulated record: e_rms in % of range, and by frequency and amplitude (`error_table`)."""
 
     percent: float
@@ -61,13 +61,13 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
     return np.array([percent_of(p, r) for p, r in zip(predict(model, records), records, strict=True)])
 
 
-def tested(model: Model | Fitted, records: Sequence[Record]) -> list[Tested]:
+def scores(model: Model | Fitted, records: Sequence[Record]) -> list[Score]:
     """Simulate every record, and return its errors; there are no cells if it diverges."""
     found = []
     for p, r in zip(predict(model, records), records, strict=True):
         error = np.where(p.scored, p.displacement - r.displacement, np.nan)
         cells = () if p.diverged else error_table([p.displacement], [error], r.dt)
-        found.append(Tested(percent_of(p, r), cells))
+        found.append(Score(percent_of(p, r), cells))
     return found
 
 

@@ -71,24 +71,25 @@ class FreeRuns:
 
     def errors(self, vector: np.ndarray) -> list[np.ndarray]:
         """Compute all residuals for these trained parameters, in blocks."""
-        runs = [np.asarray(e) for e in self._each(run_errors, vector)]
-        slow = [] if self._slow is None else [self._slow.errors(self._model, vector)]
+        here = with_parameters(self._model, vector)
+        runs = [np.asarray(e) for e in self._each(run_errors, here)]
+        slow = [] if self._slow is None else [self._slow.errors(here)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
     def miss(self, vector: np.ndarray) -> float:
         """Compute the rms simulation error, % of range, without the prior; infinite if a simulation diverges."""
-        runs = self._each(run_errors, vector)
+        runs = self._each(run_errors, with_parameters(self._model, vector))
         rms = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
         return rms if np.isfinite(rms) else np.inf  # nan would win or lose an argmin at random
 
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
         """Compute the derivatives of all residuals with respect to the trained parameters (last axis)."""
-        runs = self._each(run_slopes, vector)
-        slow = [] if self._slow is None else [self._slow.slopes(self._model, vector)]
+        here = with_parameters(self._model, vector)
+        runs = self._each(run_slopes, here)
+        slow = [] if self._slow is None else [self._slow.slopes(here, len(vector))]
         return [*runs, np.diag(self._root), *slow]
 
-    def _each(self, function: Callable, vector: np.ndarray) -> list[Array]:
-        here = with_parameters(self._model, vector)
+    def _each(self, function: Callable, here: Model) -> list[Array]:
         if self._mesh is not None:
             shared = _OverRuns(function, *self._how)
             return [over_records(shared, self._mesh, here, (part,)) for part in self._parts]

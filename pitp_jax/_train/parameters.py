@@ -63,12 +63,17 @@ def parameters(model: Model) -> tuple[np.ndarray, np.ndarray]:
 def with_parameters(model: Model, vector: Shaped[np.ndarray | Array, " parameters"]) -> Model:
     """Return the model with its trained parameters replaced by this vector."""
     params, static = eqx.partition(model, trainable(model))
-    new, first = [], 0
+    outside = isinstance(vector, np.ndarray)  # of any program: cut there, and copied to the device at once
+    xp, new, first = np if outside else jnp, [], 0
     for part in _parts(params):
-        flat, unravel = ravel_pytree(part)
-        values = jnp.asarray(vector[first : first + flat.size], flat.dtype)
-        new.append(unravel(_stored(model, values, jnp) if part is params.effects else values))
-        first += flat.size
+        leaves, tree = jax.tree.flatten(part)
+        sizes = [leaf.size for leaf in leaves]
+        values = xp.asarray(vector[first : first + sum(sizes)], jnp.result_type(*leaves) if leaves else None)
+        values = _stored(model, values, xp) if part is params.effects else values
+        cuts = xp.split(values, np.cumsum(sizes)[:-1]) if leaves else []
+        arrays = [cut.reshape(leaf.shape).astype(leaf.dtype) for cut, leaf in zip(cuts, leaves, strict=True)]
+        new.append(tree.unflatten(jax.device_put(arrays) if outside else arrays))
+        first += sum(sizes)
     return eqx.combine(eqx.tree_at(_parts, params, tuple(new)), static)
 
 

@@ -52,10 +52,11 @@ def second_mass(
         if not (low <= w <= high and _DAMPING[0] <= zeta <= _DAMPING[1]):
             return 1.0
         pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
-        pull = pull - basis @ (basis.T @ pull)
-        gain = float(pull @ residual)
+        # the residual is orthogonal to the basis already, and of the pull's rest only the length is needed
+        gain, along, whole = float(pull @ residual), basis.T @ pull, float(pull @ pull)
+        rest = max(whole - float(along @ along), 1e-12 * whole)  # less is the rounding of a pull within the basis
         # kappa < 0 would be a mass that pushes: not an explanation, however well it fits
-        return 1 - gain**2 / max(float(pull @ pull) * energy, 1e-300) if gain > 0 else 1.0
+        return 1 - gain**2 / max(rest * energy, 1e-300) if gain > 0 else 1.0
 
     # a grid first, because no slope leads from one narrow mode to another
     start = min(np.geomspace(low, high, _GRID), key=lambda w: unexplained(np.log([w, 0.08])))

@@ -135,7 +135,7 @@ def test_a_chosen_structure_is_reported_with_its_errors(call, bench, tmp_path, t
     """`auto` prints and writes the choice, and keeps the errors left out for `predict`; `encoder` compares nothing."""
 
     def choose(how, records, encoder):
-        errors = {"physical": 2.0, "encoder": 8.0, "both": float("inf")}
+        errors = {"physical": 2.0, "encoder": 8.0}  # networks beside the effects were not compared
         held_out = HeldOut("sine2", 0.3, 1.5), HeldOut("sine4", 0.5, 2.5)
         return Choice("physical", "lowest error on 2 excitations left out", encoder, errors, held_out)
 
