@@ -374,7 +374,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, own_misfit(case)[0]))
     search = Search(case, refit, exclude, limit, max(own, noise), misfit)
     own, interrupted = 0.0 if refit else own, False
-    if not search.given.rms <= rules.OWN * own:
+    if not search.given.reaches(own):
         try:
             search.run()
         except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis

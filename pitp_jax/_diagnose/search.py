@@ -78,6 +78,15 @@ class Hypothesis:
         """Return the geometric mean over records of the out-of-fold rms error, in scaled units."""
         return self.evidence.rms
 
+    def reaches(self, error: float) -> bool:
+        """Return whether the error is at most OWN times another one, such as the nominal model's own.
+
+        A record counts at least as the nominal model's own error, so that quiet records do not hide a gap of another.
+        With OWN times this error, a single record slightly above the limit would decide alone.
+        """
+        own = replace(self.evidence, least=self.evidence.least / rules.OWN**2)
+        return own.rms <= rules.OWN * error
+
 
 def scale_of(case: Case, base: Fit) -> Scale:
     """Return the units of initial guesses: ranges of the measured motion, time constants of the base model."""
@@ -483,7 +492,7 @@ class Search:
             levels.append(level[0])
             least = min(levels[:-1], key=lambda h: h.rms)
             # at the nominal's own error there is nothing more to explain
-            settled = level[0].rms <= rules.OWN * self.own
+            settled = level[0].reaches(self.own)
             helps = level[0].rms < rules.FIRST * least.rms
             if settled or (not helps and depth > 1) or not self.budget.allows(f"sets of {depth + 1} effects"):
                 break
@@ -533,7 +542,7 @@ class Search:
         deepest = max(len(h.names) for h in self.every.values())
         for depth in range(1, deepest + 1):
             level = self.level(depth)
-            if best.rms < rules.OWN * floor or not level:
+            if best.reaches(floor) or not level:
                 break
             h, more = self._fewest_numbers(level), depth - len(best.names)
             ratio = rules.FURTHER**more if best.names else rules.FIRST * rules.FURTHER ** (depth - 1)

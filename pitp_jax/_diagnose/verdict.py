@@ -3,11 +3,11 @@
 no_gap     the nominal's error is at most OWN times that on its own records; or the refitted nominal's that of the
            sensor's noise, and neither a set nor the reference is better by 1 - FIRST with P >= SURE
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
-           are tied) and a flexible model, added to the hypothesis, closes nothing more
-partly     the same, but an added flexible model closes more
-unknown    otherwise: a flexible model is as good, an unnamed force or an undecided effect is part of it, a
-           larger hypothesis has less than HALF the error and does not need all of its effects, or few excitations
-           and a rival within TWICE the error
+           are tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
+partly     the same, but a flexible model is better by less than 1 - FIRST, or closes more if it is added
+unknown    otherwise: a flexible model is better by 1 - FIRST with P >= SURE, an unnamed force or an undecided effect is
+           part of it, a larger hypothesis has less than HALF the error and does not need all of its effects, or few
+           excitations and a rival within TWICE the error
 
 A wrong effect reported with confidence costs a laboratory a week; `unknown` costs an hour.
 """
@@ -27,7 +27,7 @@ _DIFFERS = (
     "Separate linear models for each recording predict better than any common model. Were all recordings made on the "
     "same machine?"
 )
-_FLEXIBLE = "A general black-box model fits equally well, so no single cause can be named with confidence."
+_FLEXIBLE = "A general black-box model fits better, so no single cause can be named with confidence."
 _LARGER = "A larger set of effects leaves less than half of the error, and does not need some of these effects."
 
 
@@ -79,13 +79,13 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     worth = 1 - rules.GAIN * (base.rms / chosen.rms) ** 2
     more = probability(above, chosen.evidence, np.sqrt(worth)) if worth > 0 else 0.0
     alone = search.each_alone()
-    settled = chosen.rms <= rules.OWN * max(own, noise)
+    settled = chosen.reaches(max(own, noise))
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
                         tuple(rivals), alone)  # fmt: skip
 
-    if search.given.rms <= rules.OWN * own:
+    if search.given.reaches(own):
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
         # near the noise, of any colour, and nothing improves the fit significantly, including the reference
@@ -102,7 +102,8 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
     # a reference on the refitted linear model includes changed coefficients, so the one on the base is their rival
     moved = set(chosen.names) <= {PARAMETERS, *LONE}
-    if not settled and probability(chosen.evidence, bars[0] if moved else bar) < rules.SURE:
+    flexible = bars[0] if moved else bar
+    if not settled and probability(flexible, chosen.evidence, rules.FIRST) >= rules.SURE:
         return answer("unknown", reason=_FLEXIBLE, **seen)
     if alone is not None and not settled and probability(alone, chosen.evidence, 1 - rules.GAIN) >= rules.SURE:
         return answer("unknown", reason=_DIFFERS, **seen)
@@ -137,7 +138,7 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
         tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
-    open_ = more >= rules.SURE or deepest is not None
+    open_ = more >= rules.SURE or deepest is not None or probability(flexible, chosen.evidence) >= rules.LIKELY
     verdict = "partly" if open_ and not settled else "explained"
     return answer(verdict, said, tied, **seen)
 
