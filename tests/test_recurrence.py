@@ -25,7 +25,7 @@ def test_lags_of_a_ramp_on_a_level(steps):
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-12)
 
 
-@pytest.mark.parametrize("levels", [1, 2, 4])
+@pytest.mark.parametrize("levels", [2, 3, 4])
 def test_lags_of_noise_against_scipy(monkeypatch, levels):
     """Four levels as on a GPU."""
     monkeypatch.setattr(linear_recurrence, "_levels", lambda: levels)
@@ -39,9 +39,19 @@ def test_lags_of_noise_against_scipy(monkeypatch, levels):
     np.testing.assert_allclose(found, truth, rtol=0, atol=1e-11)
 
 
+def test_an_oscillator_in_four_levels_is_that_in_two(monkeypatch):
+    x, found = jnp.asarray(np.random.default_rng(3).standard_normal(500)), []
+    for levels in (2, 4):
+        monkeypatch.setattr(linear_recurrence, "_levels", lambda levels=levels: levels)
+        jax.clear_caches()
+        with jax.enable_x64(True):
+            found.append(oscillator(x, jnp.asarray(60.0), jnp.asarray(0.2), 1e-3, jnp.asarray([0.3, -0.2])))
+    np.testing.assert_allclose(*found, rtol=0, atol=1e-12)
+
+
 def test_lags_of_records_of_one_length_are_one_program(monkeypatch):
-    traced, states = [], linear_recurrence._states
-    monkeypatch.setattr(linear_recurrence, "_states", lambda *a: (traced.append(1), states(*a))[1])
+    traced, blocked = [], linear_recurrence._blocked
+    monkeypatch.setattr(linear_recurrence, "_blocked", lambda *a: (traced.append(1), blocked(*a))[1])
     for level in (0.0, 1.0, 2.0):
         first_order_lags(jnp.full(37, level), jnp.full(2, 0.1 + level), 0.01, jnp.zeros(2))
     assert len(traced) == 1

@@ -32,14 +32,16 @@ def first_order_lags(
 
     With q = exp(-dt/tau):  z_{t+1} = q z_t + (1 - q) x_t + (1 - (1 - q) tau/dt) (x_{t+1} - x_t).
     """
-    fraction = (dt / tau).astype(x.dtype)[:, None]
+    fraction = (dt / tau).astype(x.dtype)
     settle = -jnp.expm1(-fraction)  # 1 - q, which a plain difference loses to rounding if tau is many samples
     slope = 1 - settle / fraction
+    drive = settle * x[:-1, None] + slope * jnp.diff(x)[:, None]
+    keep = 1 - settle
 
-    def free(steps, z):  # q^k by one exponential, so that no error accumulates over many steps
-        return jnp.exp(-_along(fraction, z) * steps) * z
+    def free(steps, z):  # q^k by one exponential, so that no error accumulates over a block
+        return jnp.exp(-fraction * steps[..., None]) * z
 
-    return _states(free, settle * x[:-1] + slope * jnp.diff(x), start)
+    return _blocked(lambda z, b: keep * z + b, free, drive, start)
 
 
 @_compiled
@@ -51,20 +53,22 @@ def oscillator(
     Along a ramp x + a t it settles at (x + a t - 2 zeta a / w, a / w), and the initial deviation decays.
     """
     pace = jnp.diff(x) / (omega * dt)  # a / w
-    settled = jnp.stack([-2 * zeta * pace, pace])
+    settled = jnp.stack([-2 * zeta * pace, pace], -1)
 
     def free(steps, z):  # the matrix exponential of the damped oscillator, written out; zeta < 1
         root = jnp.sqrt(1 - zeta**2)
         cos, sin = jnp.cos(omega * dt * root * steps), jnp.sin(omega * dt * root * steps) / root
-        first, second = z
-        rows = cos * first + sin * (zeta * first + second), cos * second - sin * (first + zeta * second)
-        return jnp.exp(-zeta * omega * dt * steps) * jnp.stack(rows)
+        first, second = z[..., 0], z[..., 1]
+        place = cos * first + sin * (zeta * first + second)
+        speed = cos * second - sin * (first + zeta * second)
+        return jnp.exp(-zeta * omega * dt * steps)[..., None] * jnp.stack([place, speed], -1)
 
     def ends(at):
-        return settled.at[0].add(at)
+        return settled.at[:, 0].add(at)
 
+    one = jnp.ones((), x.dtype)
     # only the distance from the settled motion oscillates: z_{t+1} = E (z_t - s(x_t)) + s(x_{t+1}), E = free(1, .)
-    return _states(free, ends(x[1:]) - free(1.0, ends(x[:-1])), start)
+    return _blocked(lambda z, b: free(one, z) + b, free, ends(x[1:]) - free(one, ends(x[:-1])), start)
 
 
 def _levels() -> int:
@@ -72,41 +76,44 @@ def _levels() -> int:
     return 2 if jax.default_backend() == "cpu" else 4
 
 
-def _states(free, drive: Float[Array, "n steps"], start: Float[Array, " n"]) -> Float[Array, "time n"]:
-    return jnp.concatenate([start[:, None], _after(free, drive, start, _levels())], 1).T
+def _blocked(
+    step, free, drive: Float[Array, "steps n"], start: Float[Array, " n"], levels: int | None = None
+) -> Float[Array, "time n"]:
+    """Compute s_t of a linear recurrence s_{t+1} = step(s_t, b_t) in parallel blocks.
 
-
-def _after(free, drive: Float[Array, "n steps"], start: Float[Array, " n"], levels: int) -> Float[Array, "n steps"]:
-    """Compute the states after each step of a linear recurrence s_{t+1} = free(1, s_t) + b_t.
-
-    Blocks of steps run side by side from zero. The states at their beginnings follow the same recurrence, with blocks
-    as steps, to so many levels. `free(k, s)` advances s, shape (n, ...), by k steps without input.
+    `free(k, s)` advances s by k steps without input; s may be one state or many. The states at which the blocks start
+    follow the same recurrence, with blocks as steps, to so many `levels`.
     """
-    if levels == 1:
-        return _one_by_one(free, drive, start)
-    steps, length = drive.shape[1], max(round(drive.shape[1] ** (1 / levels)), 1)
+    steps, size = drive.shape
+    levels = levels or _levels()
+    length = max(int((steps + 1) ** (1 / levels)), 1)
     blocks = -(-steps // length)
+    if blocks == 0:
+        return start[None]
     # steps after the end have zero input and are cut off again
-    parts = jnp.pad(drive, ((0, 0), (0, blocks * length - steps))).reshape(len(drive), blocks, length)
-    forced = _one_by_one(free, parts, jnp.zeros_like(parts[:, :, 0]))
-    starts = _after(lambda count, s: free(length * count, s), forced[:, :-1, -1], start, levels - 1)
-    starts = jnp.concatenate([start[:, None], starts], 1)
+    padded = jnp.zeros((blocks * length, size), drive.dtype).at[:steps].set(drive)
+
+    def advance(z, b):
+        z = step(z, b)
+        return z, z
+
+    zero = jnp.zeros((blocks, size), drive.dtype)
+    forced = jax.lax.scan(advance, zero, padded.reshape(blocks, length, -1).swapaxes(0, 1))[1]
+    ages = jnp.arange(1, length + 1, dtype=drive.dtype)
+
+    def chain(z, end):
+        return free(ages[-1], z) + end, z
+
+    if levels > 2:
+        many = _blocked(
+            lambda z, end: chain(z, end)[0], lambda k, z: free(length * k, z), forced[-1], start, levels - 1
+        )
+        starts = many[:-1]
+    else:
+        starts = jax.lax.scan(chain, start, forced[-1])[1]
     # superposition: the response to the input from zero, and the free response from the block's true start
-    states = forced + free(jnp.arange(1, length + 1, dtype=drive.dtype), starts[:, :, None])
-    return states.reshape(len(drive), -1)[:, :steps]
-
-
-def _one_by_one(free, drive: Float[Array, "*n steps"], start: Float[Array, "*n"]) -> Float[Array, "*n steps"]:
-    def advance(s, b):
-        s = free(1.0, s) + b
-        return s, s
-
-    return jnp.moveaxis(jax.lax.scan(advance, start, jnp.moveaxis(drive, -1, 0))[1], 0, -1)
-
-
-def _along(numbers: Float[Array, "n 1"], states: Array) -> Array:
-    """Add axes so that numbers, one for each state, multiply states of shape (n, ...)."""
-    return numbers.reshape(-1, *[1] * (states.ndim - 1))
+    states = forced.swapaxes(0, 1) + jax.vmap(lambda z: free(ages, z))(starts)
+    return jnp.concatenate([start[None], states.reshape(blocks * length, -1)[:steps]])
 
 
 def lag_after(start, before, now, tau, dt) -> Array:
