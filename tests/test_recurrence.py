@@ -40,12 +40,14 @@ def test_lags_of_noise_against_scipy(monkeypatch, levels):
 
 
 def test_an_oscillator_in_four_levels_is_that_in_two(monkeypatch):
-    x, found = jnp.asarray(np.random.default_rng(3).standard_normal(500)), []
+    x, found = np.random.default_rng(3).standard_normal(500), []
     for levels in (2, 4):
         monkeypatch.setattr(linear_recurrence, "_levels", lambda levels=levels: levels)
         jax.clear_caches()
         with jax.enable_x64(True):
-            found.append(oscillator(x, jnp.asarray(60.0), jnp.asarray(0.2), 1e-3, jnp.asarray([0.3, -0.2])))
+            found.append(
+                oscillator(jnp.asarray(x), jnp.asarray(60.0), jnp.asarray(0.2), 1e-3, jnp.asarray([0.3, -0.2]))
+            )
     np.testing.assert_allclose(*found, rtol=0, atol=1e-12)
 
 
