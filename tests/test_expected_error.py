@@ -44,6 +44,12 @@ def test_a_constant_error_is_tabulated_whole():
     assert error_table([np.zeros(2000)], [np.ones(2000)], DT) == ()
 
 
+def test_a_motion_that_stands_still_for_a_while_has_a_finite_error():
+    motion = np.where(np.arange(2000) < 1000, 0.0, sine(8.0, 1e-3))
+    assert np.isfinite(error_table([motion], [np.full(2000, 2e-6)], DT)).all()
+    assert percent(known((8.0, 1e-3 / ROOT2, 2e-6)), motion) == pytest.approx(0.1, rel=1e-2)
+
+
 def test_rows_of_one_cell_are_merged():
     table = merged([(1.0, 1.0, 3.0), (1.0, 1.0, 4.0), (4.0, 1.0, 5.0)])
     np.testing.assert_allclose(table, [(1.0, 1.0, np.sqrt(12.5)), (4.0, 1.0, 5.0)])

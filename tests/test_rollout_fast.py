@@ -68,7 +68,7 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
 
 @pytest.mark.slow
 def test_several_samples_an_iteration_are_the_same_samples(nonlinear):
-    """As on a GPU; 250 samples are no multiple of 16."""
+    """As on a GPU; 250 is not divisible by 16."""
     model = nonlinear(2)
     volts, start = runs(model, 2)
     one, many = (jax.jit(lambda k=k: rows_rollout(model, volts, DT, start, k))() for k in (1, 16))

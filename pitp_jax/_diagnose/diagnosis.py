@@ -370,8 +370,9 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     # free runs of all recordings follow the search: of the best hypotheses, and for the report
     limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
     # in a refit the nominal was made from these records, so its error on others is unknown
-    misfit, source = own_misfit(case) if not refit else (0.0, "not known in a refit")
-    own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, own_misfit(case)[0]))
+    known, source = own_misfit(case)
+    misfit, source = (0.0, "not known in a refit") if refit else (known, source)
+    own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, known))
     search = Search(case, refit, exclude, limit, max(own, noise), misfit)
     own, interrupted = 0.0 if refit else own, False
     if not search.given.reaches(own):

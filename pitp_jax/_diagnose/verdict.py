@@ -1,7 +1,8 @@
 """Decide which effects of the best hypothesis are reported, with which ties, and how certain they are.
 
-no_gap     the nominal's error is at most OWN times that on its own records; or the refitted nominal's that of the
-           sensor's noise, and neither a set nor the reference is better by 1 - FIRST with P >= SURE
+no_gap     the nominal's error is at most OWN times that on its own records; or it is at most OWN times the sensor's
+           noise or USUAL times that on its own records (refitted or not), and neither a set nor the reference is
+           better by 1 - FIRST with P >= SURE
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
            are tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
 partly     the same, but a flexible model is better by less than 1 - FIRST, or closes more if it is added

@@ -72,7 +72,7 @@ def _history(origin: dict) -> dict[str, bool]:
     sources = [record for entry in lineage for record in entry.get("records", ())]
     excited = [row for name in ("excited_input", "excited_output", "errors") for row in origin.get(name, ())]
     return {
-        "cells of frequency that are no rows of three numbers": all(
+        "tables by frequency whose rows are not three numbers": all(
             len(row) == 3 and row[0] > 0 and all(math.isfinite(v) and v >= 0 for v in row) for row in excited
         ),
         "names of records that are no text": all(isinstance(name, str) for name in names),

@@ -62,7 +62,7 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
 
 
 def scores(model: Model | Fitted, records: Sequence[Record]) -> list[Score]:
-    """Simulate every record, and return its errors; there are no cells if it diverges."""
+    """Simulate every record, and return its errors; the cells are empty if it diverges."""
     found = []
     for p, r in zip(predict(model, records), records, strict=True):
         error = np.where(p.scored, p.displacement - r.displacement, np.nan)
