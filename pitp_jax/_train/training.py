@@ -134,7 +134,7 @@ def train(
     records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, least=2 if many else _WORTH_REDUCING)
     compare = judge(nominal, records)
     # the equation error needs x itself, so each record's own offset and direction are taken out first
-    begun = with_zero_at_rest(records, begin(nominal, records)[2])
+    begun = with_zero_at_rest(begin(nominal, records)[2])
     nominal = _with_zero(nominal, parent.origin.long_record, begun)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
