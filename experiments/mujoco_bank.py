@@ -171,7 +171,7 @@ def recordings(j: Joint, seconds: float, seed: int | None) -> list[pitp.Record]:
         angle = simulate(j, torque)
         if seed is not None:
             angle = np.round((angle + COUNT / 3 * rng.standard_normal(len(angle))) / COUNT) * COUNT
-        found.append(pitp.Record(name, np.arange(len(torque)) * DT, torque, angle))
+        found.append(pitp.Record(name, np.arange(len(torque)) * DT, torque, angle, "N m", "rad"))
     return found
 
 

@@ -62,10 +62,11 @@ class Record(Timed):
     Attributes:
         name: the file name without its known suffix, or any label unique in the set.
         time: sample times in s, shape (T,), uniform to 1 % of a sample; the session clock.
-        voltage: input voltage in V, shape (T,); no missing samples.
-        displacement: output in `m` (or `V` for electronic benchmarks), shape (T,); nan where missing.
-        voltage_unit: unit the voltage had in its file; used when results are written back.
-        displacement_unit: unit the output had in its file (`m`, `mm`, `um`, `V`, `mV`).
+        voltage: the input, shape (T,), in the base unit of its quantity (V, A, N m, rad, Pa ...); no missing samples.
+        displacement: the output, shape (T,), in the base unit of its quantity (m, rad, N, V ...); nan where missing.
+        voltage_unit: unit of the input in its file (`V`, `kV`, `N m` ...); results are written back in it.
+        displacement_unit: unit of the output in its file (`m`, `mm`, `rad`, `deg` ...). Give `rad` for a joint: only an
+            angle can have a weight on an arm, m g l sin(q).
         source: where it came from, for messages.
         recognised: properties and corrections of the file as read: `file`, `time`, `input`, `output` in words, counts
             `lost`, `outliers`, `clipped`, the `jitter` in samples, and `remarks` for the user (`findings` as values).

@@ -30,11 +30,11 @@ from .._errors import ComputationFailed
 from .._model.model import Model
 from .._numerics.minimise import accelerated
 from .._record.excitation_kind import spread_over_kinds
-from .._record.initial_state import aligned, noise_std
+from .._record.initial_state import Beginning, aligned, noise_std
 from .._record.record import Record
 from .._record.sets import alike
 from .._simulate import ports
-from .._simulate.beginnings import first_level, with_zero_at_rest
+from .._simulate.beginnings import with_zero_at_rest
 from .._simulate.decoder import still_state
 from .._simulate.prediction import begin
 from .creep_balance import SlowBalance
@@ -242,7 +242,7 @@ def _free(
             [0.5 / len(some) for some in sets],
         )
     start, spent, begun = begin(model, records)
-    begins = list(zip(start, spent, with_zero_at_rest(records, begun), strict=True))
+    begins = list(zip(start, spent, with_zero_at_rest(begun), strict=True))
     return tuple(
         _from_the_start(model, [records[k] for k in some], [begins[k] for k in some], samples, part * each[some])
         for some, samples, part in zip(sets, sizes, parts, strict=True)
@@ -262,7 +262,7 @@ def _from_the_start(
     starts = []
     for k, (given, (start, spent, b)) in enumerate(zip(records, begins, strict=True)):
         r = aligned(given, b, model.output)
-        starts.append(_settled(model, r) if b.begins == "held" and not b.free else start)
+        starts.append(_settled(model, b, r) if b.begins == "held" and not b.free else start)
         n = min(size, r.samples)
         x = model.output.to_model(r.displacement) / model.scales.state[0]
         seen = np.isfinite(x[:n])
@@ -278,7 +278,7 @@ def _from_the_start(
     return Runs(start, *(jnp.asarray(v) for v in (voltage, target, weight, own)))
 
 
-def _settled(model: Model, record: Record):
+def _settled(model: Model, b: Beginning, record: Record):
     """Return the state of a record that starts in equilibrium at its first reading and voltage."""
-    x = jnp.asarray(model.output.to_model(first_level(record)) / model.scales.state[0], model.coefficients.dtype)
+    x = jnp.asarray(b.direction * (b.level - b.zero) / model.scales.state[0], model.coefficients.dtype)
     return still_state(model, x, jnp.asarray(record.voltage[0], x.dtype), 0.0)

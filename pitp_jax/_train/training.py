@@ -141,7 +141,7 @@ def train(
                                    size=shapes and shapes.block)  # fmt: skip
     compare = judge(nominal, records)
     # the equation error needs x itself, so each record's own offset and direction are taken out first
-    begun = with_zero_at_rest(records, begin(nominal, records)[2])
+    begun = with_zero_at_rest(begin(nominal, records)[2])
     nominal = _with_zero(nominal, parent.origin.long_record, begun)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
