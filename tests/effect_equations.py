@@ -25,6 +25,7 @@ class Equation:
         values: the form's numbers in the model's scaled coordinates, one tuple per case, either sign of signed ones.
         within: by order of the nominal, largest |y - y_reference| over the largest change the effect makes.
         film (u, s, p), couple (F, x, p), force (x, v, s, p, a, t), rates (x, v, u, s, p), sensor (x, s, p): as above.
+        crosses (u, p): what the voltage adds to the reading.
         inertia (a, p): the coefficients with what the form adds to them.
         limit (x'', p): of an order-2 acceleration.
         begin (x, u, p): states of an actuator that was held at x under u.
@@ -41,6 +42,7 @@ class Equation:
     force: Callable = lambda x, v, s, p, a, t: 0.0
     rates: Callable = lambda x, v, u, s, p: ()
     sensor: Callable = _first
+    crosses: Callable = lambda u, p: 0.0
     inertia: Callable = _first
     limit: Callable = _first
     begin: Callable = lambda x, u, p: ()
@@ -329,6 +331,8 @@ EQUATIONS = {
         ((0.3,),), {2: 1e-6}, couple=lambda f, x, p: f / (1 + p.inverse * abs(f))
     ),
     "sensor_gain: share": Equation(((0.1,), (-0.1,)), {2: 2e-6}, sensor=lambda x, s, p: (1 + p.d) * x),
+    "feedthrough: of the force": Equation(((1e-7,), (-1e-7,)), {2: 2e-6}, crosses=lambda u, p: p.d * u**2),
+    "feedthrough: of the input": Equation(((1e-4,), (-1e-4,)), {2: 2e-6}, crosses=lambda u, p: p.d * u),
     "sensor_nonlinearity: quadratic and cubic": Equation(
         ((0.1, -0.05), (-0.1, 0.2)), {2: 1e-5}, sensor=lambda x, s, p: x + p.c2 * x**2 + p.c3 * x**3
     ),

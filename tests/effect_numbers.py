@@ -48,6 +48,8 @@ NUMBERS = {
     "stretch_coupling: exponential": (0.1501,),
     "dielectric_saturation: rational": (0.1,),
     "sensor_gain: share": (0.05,),
+    "feedthrough: of the force": (5e-8,),
+    "feedthrough: of the input": (5e-5,),
     "sensor_nonlinearity: quadratic and cubic": (0.05004, 0),
     "sensor_nonlinearity: saturating": (0.5,),
     "sensor_nonlinearity: folded": (0.5995,),

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from played import DT, FEW, nominal_of, play
+from scipy.signal import lsim
 from typed import some
 
 import pitp_jax as pitp
@@ -219,6 +220,26 @@ def test_an_early_output_is_told_and_taken_out_and_names_nothing(nominal):
     clipped = replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),))
     both = pitp.diagnose(nominal, early(play(clipped)), exclude=others)
     assert both.effects == ("voltage_clip",) and both.clock_shift == pytest.approx(late, rel=0.05)
+
+
+@pytest.mark.slow
+def test_an_input_behind_a_low_pass_is_told_and_taken_out(nominal):
+    """Recorded by a monitor of 12 ms, SciPy's low pass, beside a clip: the clip is reported."""
+    tau, model = 0.012, replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),))
+    records = [replace(r, voltage=lsim(([1.0], [tau, 1.0]), r.voltage, r.time - r.time[0])[1]) for r in play(model)]
+    found = pitp.diagnose(nominal, records, exclude=FEW)
+    assert found.effects == ("voltage_clip",)
+    assert found.input_lag == pytest.approx(tau, rel=0.05) and found.as_json()["input_lag_s"] == found.input_lag
+    assert any("low pass" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_planted_feedthrough_is_named_with_its_number(nominal):
+    form, size = "of the force", 0.08 / 900.0**2
+    planted = replace(nominal, effects=(effect("feedthrough", form, size),))
+    found = pitp.diagnose(nominal, play(planted), exclude=[n for n in FEW if n != "feedthrough"])
+    assert found.effects == ("feedthrough",) and found.added[0].form == form
+    assert found.added[0].parameters["d"]["value"] == pytest.approx(size * nominal.scales.state[0], rel=0.03)
 
 
 @pytest.mark.slow

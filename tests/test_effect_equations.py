@@ -76,7 +76,7 @@ def solution(model, name, values, drive):
         states = _slide_and_stick(slope, state, kinks, lambda x, last: e.friction(x, 0.0, last, p, a) / a[n])
     else:
         states = _through(slope, state, kinks, "LSODA" if e.stiff else "DOP853")
-    return np.array([e.sensor(x[0], x[n:], p) for x in states]) / scale[0]
+    return np.array([e.sensor(x[0], x[n:], p) + e.crosses(v, p) for x, v in zip(states, u, strict=True)]) / scale[0]
 
 
 def _run(slope, state, first, last, **options):

@@ -48,7 +48,8 @@ FOLDED = "sensor_nonlinearity: folded"
 HARD = ("coulomb_friction: Stribeck", "backlash: play", "backlash: coasting", FOLDED)
 
 
-LIMITS = ("voltage_clip: hard", "slew_limit: rate limit")  # below them nothing happens
+# below limits nothing happens; a feedthrough does not change the voltage
+LIMITS = ("voltage_clip: hard", "slew_limit: rate limit", "feedthrough: of the force", "feedthrough: of the input")
 UNDONE = [f for f in CATALOGUE if f.port in ("IN", "SQ", "OUT") and f.key not in (*HARD, "delay: pure")]
 
 

@@ -52,7 +52,7 @@ def test_the_cheapest_script_runs_in_smoke(cache, tmp_path, monkeypatch, capsys)
 
 
 OTHERS = sorted({path.stem for path in EXPERIMENTS.glob("[a-z]*.py")} - set(SCRIPTS))
-CHEAP = ("another_day", "closed_loop", "coverage")  # 4 to 11 s of CPU each
+CHEAP = ("another_day", "closed_loop", "coverage", "start_kinds")  # 4 to 11 s of CPU each
 
 
 def start(name, option, monkeypatch):

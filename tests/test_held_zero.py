@@ -53,9 +53,8 @@ def test_held_records_do_not_bend_the_static_curve():
 
 
 def test_a_sensor_zeroed_anew_under_the_held_drive_keeps_its_own_zero():
-    rest, held, anew = (Record(n, TIME, 1 + 0 * TIME, v + 1e-3 * np.sin(TIME)) for n, v in
-                        (("rest", ZERO), ("held", ZERO + 1.44), ("anew", ZERO)))  # fmt: skip
-    begun = [Beginning("rest", 1.0, ZERO, 1e-3), *(Beginning("held", 1.0, z, 1e-3) for z in (ZERO + 0.4, ZERO - 1.04))]
-    told = with_zero_at_rest([rest, held, anew], begun)
+    rest = Beginning("rest", 1.0, ZERO, 1e-3)
+    held, anew = (Beginning("held", 1.0, zero, 1e-3, level=zero + 1.04) for zero in (ZERO + 0.4, ZERO - 1.04))
+    told = with_zero_at_rest([rest, held, anew])
     assert [(b.zero, b.free) for b in told] == [(ZERO, False), (ZERO, False), (ZERO - 1.04, True)]
-    assert all(b.free for b in with_zero_at_rest([held, anew], begun[1:]))  # none at rest
+    assert all(b.free for b in with_zero_at_rest([held, anew]))  # none at rest

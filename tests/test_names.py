@@ -121,8 +121,8 @@ def test_a_number_stays_within_what_was_reached():
 @pytest.mark.parametrize(
     ("name", "twin", "left", "tied"),
     [
-        ("sensor_lag", "delay", 0.11, ("delay",)),
-        ("sensor_lag", "delay", 0.2, ()),
+        ("sensor_lag", "delay", 0.11, ("delay", "force_lag")),
+        ("sensor_lag", "delay", 0.2, ("force_lag",)),
         # input and reading of any plant may be late by the same time
         ("delay", "sensor_lag", 0.2, ("sensor_lag",)),
     ],
@@ -131,7 +131,19 @@ def test_a_lag_is_tied_with_a_delay_unless_the_band_separates_them(no_reference,
     search = searched(hypothesis((name,), 0.1), hypothesis((twin,), left))
     found = decide(search, 0.0, 0.0, 9)
     assert found.tied[name] == tied
-    assert separable(search, found, name) == (() if left > 0.11 else tied)  # no recording separates a late input
+    assert separable(search, found, name) == (() if left > 0.11 else ("delay",))  # no recording separates a late input
+
+
+@pytest.mark.parametrize(("left", "tied"), [(0.1, ("force_lag",)), (0.2, ())])
+def test_a_lag_of_the_sensor_is_tied_with_one_of_the_force_unless_this_fits_worse(
+    no_reference, monkeypatch, left, tied
+):
+    search = searched(hypothesis(("sensor_lag",), 0.1), hypothesis(("delay",), 0.2))
+    monkeypatch.setattr(search, "exchanged", lambda h, name, row: hypothesis((row.name,), left))
+    found = decide(search, 0.0, 0.0, 9)
+    assert found.tied["sensor_lag"] == tied and separable(search, found, "sensor_lag") == ()
+    cast(Any, search.case).simulator.square = False  # a linear input has no square to be late behind
+    assert decide(search, 0.0, 0.0, 9).tied["sensor_lag"] == ()
 
 
 @pytest.mark.parametrize(("flexible", "verdict_"), [(0.2, "unknown"), (0.5, "partly")])
@@ -184,10 +196,9 @@ def searched(*sets, own=0.0, refit=False):
     search.base = search.given = search.linear = base
     search.linears, search.refit, search.own, search.scale = [base], refit, own, SCALE
     search.budget = Budget(0.0)
-    search.case, search.floors = (
-        cast(Any, SimpleNamespace(blocks=1, recordings={"all": [*range(RECORDS)]})),
-        np.full(RECORDS, 1e-9),
-    )
+    simulator, recordings = SimpleNamespace(square=True), {"all": [*range(RECORDS)]}
+    search.case = cast(Any, SimpleNamespace(blocks=1, simulator=simulator, recordings=recordings))
+    search.floors = np.full(RECORDS, 1e-9)
     search.every, search.waiting = {frozenset(h.names): h for h in (base, *sets)}, {}
     return search
 

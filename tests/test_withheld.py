@@ -103,7 +103,8 @@ def test_every_name_of_the_catalogue_is_there(kit):
     page = (ROOT / "docs" / "effects.md").read_text(encoding="utf-8")
     rows = [line.split("`")[1] for line in page.splitlines() if line.startswith("| `")]
     assert set(kit.catalogue.INSIDE) == set(INSIDE) and set(kit.catalogue.OUTSIDE) == set(OUTSIDE)
-    assert set(rows) == {*INSIDE, "force_limit"}  # it sits behind a position controller: no actuator here has one
+    # no actuator here has a position controller, and no sensor here sees the input
+    assert set(rows) == {*INSIDE, "force_limit", "feedthrough"}
     assert all(set(pair) <= set(INSIDE) for pair in kit.catalogue.PAIRS)
 
 

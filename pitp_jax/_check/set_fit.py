@@ -13,11 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from .._errors import BadInput, ComputationFailed
-from .._identify.beginnings import find_beginnings
+from .._identify.beginnings import find_beginnings, start_beside
 from .._identify.linear_ode import coast, logs_from_roots, respond
 from .._model.input_map import INPUT_MAPS
 from .._numerics.coloured_noise import project
-from .._record.initial_state import Beginning, is_still, rest_level, standing_drive, starts_at_rest
+from .._record.initial_state import Beginning
 from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.reduced import averaged, block_size
@@ -90,11 +90,11 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
     try:
         step, small = _thinned(records, input_map)
         every = set(range(len(small)))
-        best = _beside_poles_of(every, records, small, step)
+        best = _beside_poles_of(every, small, step)
         if best is None:
             return None
         if len(small) >= _HALVED and _doubtful(best[1]):
-            halves = [_beside_poles_of(set(list(every)[k::2]), records, small, step) for k in (0, 1)]
+            halves = [_beside_poles_of(set(list(every)[k::2]), small, step) for k in (0, 1)]
             best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
         kept = every
         for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
@@ -103,7 +103,7 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
                 best = best[0], [replace(row, strange="") for row in best[1]]
             if len(belong) < 2 / 3 * len(every) or belong == kept:
                 break
-            kept, best = belong, _beside_poles_of(belong, records, small, step) or best
+            kept, best = belong, _beside_poles_of(belong, small, step) or best
     except (BadInput, ComputationFailed, np.linalg.LinAlgError):
         return None
     (first, second), rows = best[0][:2], best[1]
@@ -111,15 +111,15 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
     return SetFit(natural, damping, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
 
 
-def _beside_poles_of(kept: set[int], records, small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
+def _beside_poles_of(kept: set[int], small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
     """Fit common poles to the records `kept`; return their logarithms, and every record compared with them."""
     begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
     if roots is None:
         return None
     logs, by_place = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
     resting = [b.zero for b in begun if b.begins == "rest"]
-    omega = float(np.exp(logs[1] / 2))
-    beginnings = [_plausible(r, by_place.get(k), resting, omega) for k, r in enumerate(records)]
+    beginnings = [by_place.get(k) or start_beside(r, "linear", logs, _gain(logs, r), resting[:1])
+                  for k, r in enumerate(small)]  # fmt: skip
     return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
 
 
@@ -133,20 +133,6 @@ def _doubtful(rows: Sequence[Beside]) -> bool:
     return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
 
 
-def _plausible(record: Record, begun: Beginning | None, resting: Sequence[float], omega: float) -> Beginning:
-    """Return a plausible initial state of a record: apparent motion may only be an error of the linear model.
-
-    A record that is still at 0 V, or at the offset of those at rest, also starts at rest. Without `begun` only the
-    first samples decide.
-    """
-    if (begun is not None and begun.begins != "moving") or not is_still(record, omega):
-        return begun or Beginning("moving", 1.0, float(np.nanmedian(record.displacement)), float("inf"))
-    level, stderr = rest_level(record)
-    if standing_drive(record)[1] == 0 or (resting and starts_at_rest(record, float(np.median(resting)), omega)):
-        return Beginning("rest", 1.0, level, 1.5 * stderr)
-    return begun or Beginning("held", 1.0, float("nan"), float("inf"))
-
-
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
     """Average input and output of all records over blocks; a linear system preserves their relation."""
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
@@ -158,6 +144,12 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     # an input that starts at 0 V was held there before, at rest
     firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
     return step, [replace(r, voltage=voltage) for r, voltage in zip(small, firsts, strict=True)]
+
+
+def _gain(logs: np.ndarray, record: Record) -> float:
+    """Return the gain of one record at given poles, with a free initial state."""
+    moving = _beside(record, logs, Beginning("moving", 1.0, 0.0, 0.0), 1)
+    return abs(moving.gain)
 
 
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:

@@ -19,7 +19,9 @@ from .._table.units import column_name, from_base
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import open_both
-from .reports import print_sensors
+from .reports import listed, print_sensors
+
+_CERTAIN = 0.9  # probability of a record's start; a smaller one is printed
 
 
 def predict(model, records, out, json_file, reading) -> None:
@@ -51,6 +53,11 @@ def predict(model, records, out, json_file, reading) -> None:
                 _write_record(stage / file, record, prediction)
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
     _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
+    if open_ones := [p.name for p in predictions if p.start_certainty < _CERTAIN]:
+        print(
+            f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "
+            "error may come from this; record a second of rest at 0 V first"
+        )
     print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(

@@ -19,7 +19,7 @@ from .._record.record import Record
 from .._record.sets import clock_start
 from . import rules
 from .budget import Budget
-from .clocks import put_back, remark
+from .clocks import Fault
 from .data import FEWEST_FOLDS, Case, build_case, excitations
 from .gap import (
     Gap,
@@ -36,7 +36,7 @@ from .gap import (
     spans,
 )
 from .handing_back import hand_back, package_error
-from .library import CHANGED, CORE, EARLY, FREE, INDEX, SHIFT
+from .library import AHEAD, CHANGED, CORE, EARLY, FREE, INDEX, MONITOR, SHIFT
 from .next_experiment import Experiment, separate
 from .parts import Parts, parts_of
 from .pieces import Piece, cut
@@ -96,6 +96,7 @@ class Diagnosis:
         lane_steps: the work of the search, samples x steps a sample x simulations.
         pieces: the pieces of a long set that the search used; None: all of it.
         clock_shift: time (s) by which the output column was ahead of the input column; removed before the diagnosis.
+        input_lag: time constant (s) of the low pass behind which the input column was recorded; removed likewise.
         interrupted: the search was interrupted; the result is the best scored so far.
     """
 
@@ -124,6 +125,7 @@ class Diagnosis:
     lane_steps: int = 0
     pieces: tuple[Piece, ...] | None = None
     clock_shift: float = 0.0
+    input_lag: float = 0.0
     interrupted: bool = False
 
     @property
@@ -152,6 +154,7 @@ class Diagnosis:
             "parts": self.parts.as_json(),
             "refit": self.refit,
             "clock_shift_s": self.clock_shift,
+            "input_lag_s": self.input_lag,
             "coefficients_over_given": [float(v) for v in self.shift],
             "notes": list(self.notes),
             "term": self.term.as_json() if self.term else None,
@@ -220,9 +223,8 @@ def diagnose(
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
     devices = tuple(mesh.devices.flat) if mesh is not None else ()
-    found, early, records = _searched_without_shift(model, records, refit_nominal, exclude, limit, devices)
-    if early:
-        notes = (remark(early, records[0].dt), *notes)
+    found, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit, devices)
+    notes = (*fault.remarks(records[0].dt), *notes)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
     noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
@@ -304,28 +306,30 @@ def diagnose(
         reason=decision.reason if decision.verdict == "unknown" else "",
         lane_steps=limit.lane_steps,
         pieces=pieces,
-        clock_shift=early,
+        clock_shift=fault.early,
+        input_lag=fault.lag,
         interrupted=interrupted,
     )
 
 
-def _searched_without_shift(
+def _searched_without_fault(
     model: Model, records: Sequence[Record], refit: bool, exclude: Sequence[str], limit: Budget, devices
-) -> tuple["_Searched", float, Sequence[Record]]:
-    """Search; if the output is certainly ahead of the input, remove this time shift and search again.
+) -> tuple["_Searched", Fault, Sequence[Record]]:
+    """Search; if the output is certainly ahead of the input, correct the records and search again.
 
     Returns:
-        the search, the time (s) by which the output was early, and the records without it.
+        the search, the fault of the records, and the records without it.
     """
     found = _searched(model, records, refit, exclude, limit, devices)
-    early, best = 0.0, found.search.best()
+    fault, best = Fault(), found.search.best()
     if SHIFT.name in best.names and not found.interrupted:
         if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
-            early = best.fit.value(EARLY)
-            records = put_back(records, early)
+            found_fault = Fault(best.fit.value(EARLY) + best.fit.value(AHEAD), best.fit.value(MONITOR))
+            fault = found_fault if found_fault.is_acausal else fault
+            records = fault.corrected(records)
         exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
         found = _searched(model, records, refit, exclude, limit, devices)
-    return found, early, records
+    return found, fault, records
 
 
 def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):

@@ -22,12 +22,20 @@ from .._model.fitted import Fitted, fitted_of
 from .._model.model import Model, linear_model
 
 FREE = "term"  # a force without a name
-# a fault of the records: it is removed from them and is not a part of a model
+# faults of the records: they are removed from them and are not parts of a model
 SHIFT = EffectSpec(
     "clock_shift", "early output", (Parameter("time", "s", off=0.0, linear=False),),
     "The output column is early beside the input column.", "y(t) = x(t + T), T = time", "record", "IN",
     law=lambda p, u, z: u,
 )  # fmt: skip
+LAGGED = EffectSpec(
+    "clock_shift", "lagging input",
+    (Parameter("tau", "s", off=0.0, linear=False), Parameter("time", "s", positive=False, off=0.0, linear=False)),
+    "The input column is the voltage behind a low pass of its own channel, and may be early or late.",
+    "V(t) = (u + tau u')(t + T), T = time", "record", "IN",
+    law=lambda p, u, z: u,
+)  # fmt: skip
+FAULTS = SHIFT, LAGGED
 CHANGED = "parameter_change"  # the label of coefficients that have changed
 _SIDES = 1.2  # the excited band extends beyond a resonance by at least this factor on both sides
 # names that share a law in one of their forms: a hypothesis holds at most one form of each
@@ -110,7 +118,8 @@ def bounds(s: Scale) -> dict[str, tuple[float, float]]:
 
     If a force changes over a speed or a distance beyond all recorded ones, this parameter only scales the force.
     """
-    span, found = s.top - s.bottom, {}
+    # a lagging input may be late by a sample of its own; more would be a delay, which a machine can have
+    span, found = s.top - s.bottom, {AHEAD: (-s.dt, np.inf)}
     for name, p in zip(NAMES[3:], _NUMBERS, strict=True):
         if p.slow:  # a memory of the input faster than the plant is a filter of it, not a charge
             found[name] = s.tau, np.inf
@@ -190,6 +199,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "dead_zone: symmetric", (0.05 * volts,), (0.2 * volts,)
     yield "delay: pure", (s.dt,), (0.1 * tau,), (0.5 * tau,)
     yield SHIFT.key, (0.5 * s.dt,), (0.1 * tau,)
+    yield LAGGED.key, (s.dt, -0.5 * s.dt), (0.2 * tau, -0.5 * s.dt)
     yield "charge_leak: one trap", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "charge_retention: one store", (0.15, 5 * tau), (0.15, 50 * tau)
     yield "stretch_coupling: linear", (0.1 / x,), (-0.1 / x,)
@@ -207,16 +217,18 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "backlash: coasting", (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
     yield "mullins: exponential", (0.15, 0.5 * x)
     yield "sensor_gain: share", (0.05,)
+    yield "feedthrough: of the force", (0.05 * x / volts**2,), (-0.05 * x / volts**2,)
+    yield "feedthrough: of the input", (0.05 * x / volts,), (-0.05 * x / volts,)
     by_place = [(f * damping / x, 0, 0) for f in (-0.3, 0.5)] + [(0, f * damping / x**2, 0) for f in (0.3, 2.0)]
     yield TERM.key, *by_place, *((0, 0, f * damping / pull) for f in (-0.3, 0.5))
 
 
-_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, SHIFT)}
+_BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, *FAULTS)}
 _UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
 # the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
-ROWS = tuple(r for r in (*CATALOGUE, TERM, SHIFT) if r in _STARTED | _BESIDE or r.linear)
+ROWS = tuple(r for r in (*CATALOGUE, TERM, *FAULTS) if r in _STARTED | _BESIDE or r.linear)
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
@@ -235,12 +247,14 @@ PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
     slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")
 )
-(EARLY,) = slots_of_row(SHIFT)
+(EARLY,), (MONITOR, AHEAD) = map(slots_of_row, FAULTS)
 # parameters of a memory, and of the same law once more, by the name of the search
 DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for r in ROWS if r.second}
 # names that are one parameter of the linear model, and those that recordings cannot separate
 LONE = {spec.name for spec in CATALOGUE if spec.moves}
 TWINS = {spec.name: (spec.twin,) for spec in CATALOGUE if spec.twin}
+# effects that the search does not add, by the one that it adds instead
+HIDDEN = {spec.twin: spec for spec in CATALOGUE if spec.only_given and spec.twin}
 COMMUTING = {spec.name for spec in CATALOGUE if spec.commutes}
 _MOST_POLES = 4  # of a model whose poles are all in its core, its lag and its filter (`sections`)
 _IN_POLES = {3: (LAG,), 4: (FILTER, FILTER_ZETA)}  # the slots that the coefficients of a model of this order hold

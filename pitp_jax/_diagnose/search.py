@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from .._effects.spec import EffectSpec
 from .._model.units import base_units, units_of
 from . import rules
 from .budget import Budget
@@ -347,6 +348,20 @@ class Search:
         if key in self.waiting:
             self._settle([self.waiting[key]])
         return self.every.get(key)
+
+    def exchanged(self, h: Hypothesis, name: str, row: EffectSpec) -> Hypothesis | None:
+        """Return a set with another row instead of one effect, starting at the same value; None if out of budget."""
+        if not self.budget.allows(f"{row.name} instead of {name}"):
+            return None
+        mine = [k for form in self.library if form.name == name for k in form.start]
+        slots, free = h.fit.slots.copy(), tuple(k for k in h.fit.free if k not in mine)
+        ((old,), (new,)) = mine[:1], slots_of_row(row)
+        slots[INDEX[new]] = max(slots[INDEX[old]] - self.case.nominal[INDEX[old]], 0.01 * self.case.dt)
+        slots[INDEX[old]] = self.case.nominal[INDEX[old]]
+        names = tuple(row.name if n == name else n for n in h.names)
+        one = h.fit.anew(names=names, free=(*free, new), slots=slots, residuals=[])
+        fits = [f for f in self.fitter.fit([one], _STEPS) if np.isfinite(f.cost)]
+        return next(iter(self._scored(fits)), None)
 
     def _settle(self, fits: Sequence[Fit]) -> None:
         for h in self._scored(fits):

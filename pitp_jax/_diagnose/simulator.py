@@ -23,7 +23,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .._effects.effect import Effect, Instant
-from .library import COSTLY, DELAY, EARLY, INDEX, OFF, PLACES, ROWS
+from .library import AHEAD, COSTLY, DELAY, EARLY, INDEX, MONITOR, OFF, PLACES, ROWS
 
 WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # simulations a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
@@ -156,11 +156,12 @@ class Simulator:
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
         """Return delayed voltages at the ends of the steps, (steps + 1, simulations); V|V| is linear in between."""
-        # one delayed input for all simulations with the same record and delay
-        pairs, which = np.unique(np.stack([records, _delay(slots)], 1), axis=0, return_inverse=True)
+        # one delayed input for all simulations with the same record, delay and lag of the input column
+        rows = np.stack([records, _delay(slots), slots[:, INDEX[MONITOR]]], 1)
+        groups, which = np.unique(rows, axis=0, return_inverse=True)
         place, columns = np.arange(steps + 1) / self.substeps, []
-        for record, delay in pairs:
-            drive = self.drives[int(record)]
+        for record, delay, lag in groups:
+            drive = _without_lag(self.drives[int(record)], lag)
             if drive.film is not None:
                 force = drive.film.force(place * drive.dt - delay)
                 columns.append(root(force) if self.square else force)
@@ -186,9 +187,19 @@ class Simulator:
         return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
 
+def _without_lag(drive: Drive, lag: float) -> Drive:
+    """Return the input u + tau u' whose low pass with the time constant tau = `lag` (s) is the recorded one."""
+    if not lag:
+        return drive
+    # a thinned record has its input before the first sample in its film's first mean
+    before = drive.before if drive.film is None else None
+    voltage = drive.voltage + lag * np.gradient(drive.voltage, drive.dt)
+    return replace(drive, voltage=voltage, film=None, before=before)
+
+
 def _delay(slots: np.ndarray) -> np.ndarray:
     """Return the delay of the input (s), shape (simulations,); negative if the output column is ahead of it."""
-    return slots[:, INDEX[DELAY]] - slots[:, INDEX[EARLY]]
+    return slots[:, INDEX[DELAY]] - slots[:, INDEX[EARLY]] - slots[:, INDEX[AHEAD]]
 
 
 def root(force: np.ndarray) -> np.ndarray:
@@ -302,7 +313,7 @@ def _reading(effects: list[Effect], state):
     y = state[0]
     for e, z in zip(effects, state[3], strict=True):
         y = e.apply(y, z) if e.port == "OUT" else y
-    return y
+    return y + sum(e.spec.crosses(e.p, z) for e, z in zip(effects, state[3], strict=True) if e.spec.crosses)
 
 
 def _step(square, unit, rates, effects: list[Effect], once, plant: Plant, state, before, after):

@@ -20,7 +20,7 @@ import numpy as np
 
 from . import rules
 from .evidence import Evidence, probability
-from .library import CHANGED, COMMUTING, FREE, LONE, TWINS, names_of
+from .library import CHANGED, COMMUTING, FREE, HIDDEN, LONE, TWINS, names_of
 from .reference import reference
 from .search import PARAMETERS, Hypothesis, Search
 
@@ -132,9 +132,12 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
         # a narrow band cannot separate these, so they are reported as tied however certain the set is
-        twins = () if label not in COMMUTING and _beats_twin(search, chosen, name, label) else TWINS.get(label, ())
+        twins = TWINS.get(label, ())
+        if label not in COMMUTING:
+            twins = tuple(t for t in twins if not _beats_twin(search, chosen, name, t))
         if search.refit and label not in LONE:
             twins = ()
+        twins = (*twins, *_hidden_twins(search, chosen, name, label))
         said.append(label)
         tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
     if not said:
@@ -210,22 +213,34 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
     return fractions
 
 
-def _beats_twin(search: Search, chosen: Hypothesis, name: str, label: str) -> bool:
-    """Return whether the set fits significantly better than with any equivalent effect instead of this one."""
-    for twin in TWINS.get(label, ()):
-        other = search.judged({*chosen.names} - {name} | {twin})
-        if other is None or probability(chosen.evidence, other.evidence, rules.FURTHER) < rules.SURE:
-            return False
-    return True
+def _beats_twin(search: Search, chosen: Hypothesis, name: str, twin: str) -> bool:
+    """Return whether the set fits significantly better than with an equivalent effect instead of this one."""
+    other = search.judged({*chosen.names} - {name} | {twin})
+    return other is not None and probability(chosen.evidence, other.evidence, rules.FURTHER) >= rules.SURE
+
+
+def _hidden_twins(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:
+    """Return the effect that the search does not add and that fits as well as this one, such as a lag of the force.
+
+    Behind the square a linear plant with a lag of its force is the same as with a lag of its sensor.
+    """
+    row = HIDDEN.get(label)
+    if row is None or (row.squares and not search.case.simulator.square):
+        return ()
+    other = search.exchanged(chosen, name, row)
+    beaten = other is not None and probability(chosen.evidence, other.evidence, rules.FURTHER) >= rules.SURE
+    return () if beaten else (row.name,)
 
 
 def separable(search: Search, decision: Decision, label: str) -> tuple[str, ...]:
     """Return the effects tied with a reported one that another recording may separate from it."""
-    tied = decision.tied.get(label, ())
+    hidden, excluded = HIDDEN.get(label), set()
     name = dict(zip(decision.chosen.labels, decision.chosen.names, strict=True)).get(label, label)
-    if label in COMMUTING and _beats_twin(search, decision.chosen, name, label):
-        return tuple(other for other in tied if other not in TWINS[label])
-    return tied
+    if label in COMMUTING:
+        excluded = {t for t in TWINS[label] if _beats_twin(search, decision.chosen, name, t)}
+    if hidden is not None:
+        excluded.add(hidden.name)
+    return tuple(other for other in decision.tied.get(label, ()) if other not in excluded)
 
 
 def _other_names(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:

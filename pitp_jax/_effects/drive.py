@@ -6,15 +6,18 @@ slew_limit        |V'| <= s                      voltage_clip    V = min(max(u, 
 dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
 charge_leak       V = u - kappa q,  tau q' = u - q                       voltage_offset  V = u + V_0
 charge_retention  V = u + q,  tau q' = k |u| - q                         delay           V(t) = u(t - T)
+feedthrough       V = u, the sensor reads  x + d V^2  or  x + d V
 hysteresis        V = u + sum_j w_j (z_j - u),  z_j plays of u;   or  V = u + level z,  width z' = u - |u| z
 
 u runs linearly between samples, and lags are exact for it. A record at rest starts uncharged.
 """
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 
 from .._model.drive import slope
-from .kernels import DELAY, dahl_of_integral, lag, lag_each_way, lead, play, slew
+from .kernels import DELAY, PRESENT, dahl_of_integral, lag, lag_each_way, lead, play, slew
 from .spec import EffectSpec, Parameter
 
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
@@ -48,6 +51,15 @@ def _by_area(p, k, plant):
     """Report a loop as a voltage offset if its width is small against the input's integral."""
     name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
     return name, "Dahl of the command's integral", (p.level, p.width)
+
+
+def _crossing(form: str, title: str, equation: str, unit: str, part: Callable) -> EffectSpec:
+    """Build a catalogue entry: the sensor's reading contains `part` of the voltage, times d."""
+    return EffectSpec(
+        "feedthrough", form, (Parameter("d", unit, length=1, positive=False, off=0.0),), title, equation, "sensor",
+        "IN", kernel=PRESENT, law=lambda p, u, z: u, inverse=lambda p, v, dt: v,
+        crosses=lambda p, z: p.d * part(z[0]),
+    )  # fmt: skip
 
 
 DRIVE = (
@@ -128,5 +140,12 @@ DRIVE = (
         "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN",
         costly=True, kernel=dahl_of_integral(), reported=_by_area,
         law=lambda p, u, z: u + p.level * z[0],
+    ),
+    _crossing(
+        "of the force", "The sensor also moves with the film's force, as on a compliant mount.", "y = x + d V^2",
+        "x/V^2", lambda v: v**2,
+    ),
+    _crossing(
+        "of the input", "The voltage couples into the sensor's reading.", "y = x + d V", "x/V", lambda v: v,
     ),
 )  # fmt: skip

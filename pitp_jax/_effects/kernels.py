@@ -9,6 +9,7 @@
     bouc_wen     dz = dw (1 - (sgn(dw z) + gamma) |z| / r)                                 (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
     slew         |z'| <= s towards u                                                       (exact for one step's goal)
+    present      z = w                                                                     (exact)
     delay        a shift of the whole record: no state of a step
 
 w is the memory's input: u at the port IN, x for forces and sensors. A kernel reads its parameters by name from `p`.
@@ -51,6 +52,8 @@ class Kernel:
 
 
 NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
+# the input itself, for a reading that contains it
+PRESENT = Kernel(1, lambda p, w, age: jnp.full((1,), w), lambda p, z, before, after, h: jnp.full_like(z, after))
 DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift acts on records, see `shifted`
 
 

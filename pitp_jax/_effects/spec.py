@@ -67,6 +67,7 @@ class EffectSpec:
             SQ: fn(p, force, x), the force on the structure. K, C, M, T: fn(p, now), the extra force at an `Instant`.
         kernel: its memory.
         mass: fn(p, now) of a force: its addition to the coefficient of x'' (of x^(n) below order 2).
+        crosses: fn(p, z), what an effect on the voltage adds to the sensor's reading, behind all effects of the sensor.
         inverse: in closed form; without one, a guarded Newton solves the law.
             IN, OUT: fn(p, series, dt) for a smooth series that begins at rest.
             SQ: fn(p, force, x), infinite where no field makes it.
@@ -99,6 +100,7 @@ class EffectSpec:
     law: Callable[..., Any] = field(compare=False)
     kernel: Kernel = field(default=NOTHING, compare=False)
     mass: Callable[..., Any] | None = field(default=None, compare=False)
+    crosses: Callable[..., Any] | None = field(default=None, compare=False)
     inverse: Callable[..., Any] | None = field(default=None, compare=False)
     solvable: Callable[..., Any] | None = field(default=None, compare=False)
     passes: Callable[..., Any] | None = field(default=None, compare=False)

@@ -15,26 +15,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from .._model.input_map import INPUT_MAPS
-from .._numerics.coloured_noise import block_means, criterion, project, whitener
+from .._numerics.coloured_noise import block_means, project, whitener
 from .._record.excitation_kind import spread_over_kinds
-from .._record.initial_state import (
-    INITIAL_SAMPLES,
-    Beginning,
-    Begins,
-    from_known,
-    is_still,
-    level_groups,
-    noise_std,
-    rest_level,
-    settled_samples,
-    standing_drive,
-)
+from .._record.initial_state import Beginning, Begins, from_known, level_groups, noise_std, rest_level
 from .._record.preprocess import force_band
 from .._record.record import Record
 from .._record.reduced import averaged, block_size
+from .._record.start import Response, estimate_start, first_part
 from .frequency_fit import linear_start
 from .frequency_response import frequency_response
 from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
+from .linear_ode import poles as modes
 from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
 from .starts import cost_of, guesses
 
@@ -42,10 +33,7 @@ _PER_PERIOD = 10  # samples per period of the band's top or of the resonance, en
 _MOST = 100_000  # samples used to find the poles
 _STARTS = 3  # initial guesses, each with the sensor directions it implies, that are fitted
 _STRUCTURE, _ROUNDS = Structure(2), 4
-_DIFFER = 0.1  # fraction of the largest force by which first voltages must differ for settled levels to differ
-_JUMP = 0.05  # fraction of the voltage range, between two samples
 _CLEAN = 1.2  # times the noise: largest residual of a model without error
-_FINEST = 1e-5  # fraction of the output's deviation: no record resolves less, even one without noise
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
@@ -62,11 +50,14 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     cost, poles = first
     clean = _only_noise(cost, small)
     decided: list[Beginning] = []
+    known = [r is b for r, b in zip(records, begun, strict=True)]
     for _ in range(_ROUNDS):
         rows = [_columns(r, input_map, *poles) for r in begun]
-        known = [r is b for r, b in zip(records, begun, strict=True)]
-        kinds = [_kind(row, r, whole, poles[0]) for row, r, whole in zip(rows, begun, known, strict=True)]
-        kinds = _settled_together(begun, rows, kinds, known, poles[0])
+        zeros = _resting(begun, decided)
+        starts = [start_beside(r, input_map, *poles, z) for r, z in zip(begun, zeros, strict=True)]
+        # a record whose first samples are missing is moving
+        starts = [s if whole else replace(s, begins="moving") for s, whole in zip(starts, known, strict=True)]
+        kinds: list[tuple[Begins, float]] = [(s.begins, s.direction) for s in starts]
         before, decided = decided, _with_zeros(begun, rows, kinds, clean)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in decided]:
             break
@@ -97,7 +88,6 @@ class _Columns:
     held: np.ndarray
     free: np.ndarray
     one: np.ndarray
-    size: float  # standard deviation of the output
 
     def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
         """Return the whitened residual for an initial state and a sensor direction, and the fitted sensor offset."""
@@ -111,16 +101,6 @@ class _Columns:
         residual, zero = self.residual(begins, direction)
         alone = project(self.one, self.free)[1] if begins == "moving" else self.one
         return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
-
-    def moves(self) -> bool:
-        """Return whether a free initial state removes at least half of the residual that a start from rest leaves."""
-        rest, moving = (min(np.linalg.norm(self.residual(b, d)[0]) for d in (1.0, -1.0)) for b in ("rest", "moving"))
-        return bool(moving < 0.5 * rest)
-
-    def score(self, begins: Begins, direction: float) -> float:
-        """Return the Bayesian information criterion (BIC) of an initial state and sensor direction; lower is better."""
-        extra = self.free.shape[1] if begins == "moving" else 0
-        return criterion(self.residual(begins, direction)[0], extra, floor=_FINEST * self.size)
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
@@ -205,66 +185,27 @@ def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _
     columns = np.column_stack([one, means[:, 3:-1]])
     residuals = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
     white = whitener(min(residuals, key=lambda e: float(e @ e)))(means)
-    return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1], float(y.std()))
+    return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1])
 
 
-def _kind(row: _Columns, record: Record, whole: bool, logs: np.ndarray) -> tuple[Begins, float]:
-    """Return the simplest sufficient initial state of a record, and the sensor direction (+1 or -1).
-
-    A record whose first samples are missing is "moving".
-
-    A constant reading under a constant voltage means at rest or held, whatever residual the later motion leaves.
-    """
-    kinds: tuple[Begins, ...] = ("rest", "held", "moving") if whole else ("moving",)
-    (standing, level), omega = standing_drive(record), _omega(logs)
-    passing = whole and standing * record.dt * omega < np.pi / 2  # the voltage changes soon after the start
-    if whole and settled_samples(record, omega):
-        kinds = ("held",) if level else ("rest",)
-    elif passing and level and _smooth(record.voltage) and not is_still(record, omega):
-        kinds = ("moving",)  # only a jump of the voltage starts a motion from rest with a velocity
-    elif passing and not level and is_still(record, omega) and not row.moves():
-        kinds = ("rest",)  # records cut from a longer motion rarely have zero velocity just where the voltage is 0 V
-    elif not level:
-        kinds = tuple(k for k in kinds if k != "held")  # held at 0 V is the same as at rest
-    return min(((b, d) for d in (1.0, -1.0) for b in kinds), key=lambda k: row.score(*k))
+def start_beside(
+    record: Record, input_map: str, logs: np.ndarray, gain: float, zeros: Sequence[float] = ()
+) -> Beginning:
+    """Estimate how a record starts beside a linear model of order 2; `zeros`: sensor offsets of other records."""
+    omega = float(np.exp(logs[1] / 2))
+    part = first_part(record, omega)
+    rest, held = (
+        gain * respond(logs, part.voltage, step=part.dt, square=input_map == "square", hold="foh", settled=settled)
+        for settled in (False, True)
+    )
+    return estimate_start(part, Response(rest, held, modes(logs), omega, zeros))
 
 
-def _smooth(drive: np.ndarray) -> bool:
-    """Return whether the voltage has no jump in the first samples, from which the initial velocity is estimated."""
-    return bool(np.abs(np.diff(drive[:INITIAL_SAMPLES])).max() < _JUMP * np.ptp(drive))
-
-
-def _settled_together(
-    records: Sequence[Record],
-    rows: Sequence[_Columns],
-    kinds: Sequence[tuple[Begins, float]],
-    known: Sequence[bool],
-    logs: np.ndarray,
-) -> list[tuple[Begins, float]]:
-    """Return initial states in which records that stand still together are at rest or settled instead of moving.
-
-    Records that stand still at one level, one of them at rest or with different first voltages, cannot all have
-    reversed there by chance. Each of them is therefore at rest or held, whatever residual the later motion leaves.
-    """
-    decided, omega = list(kinds), _omega(logs)
-    still = [
-        k
-        for k, (r, (begins, _)) in enumerate(zip(records, kinds, strict=True))
-        if begins == "rest" or (begins == "moving" and known[k] and is_still(r, omega))
-    ]
-    first = np.array([r.voltage[0] for r in records]) / max(np.abs(r.voltage).max() for r in records)
-    for group, *_ in level_groups([records[k] for k in still]):
-        members = [still[m] for m in group]
-        if np.ptp(first[members] ** 2) > _DIFFER or any(kinds[k][0] == "rest" for k in members):
-            for k in (k for k in members if kinds[k][0] == "moving"):
-                kind: tuple[Begins, ...] = ("rest", "held") if standing_drive(records[k])[1] else ("rest",)
-                decided[k] = min(((b, d) for d in (1.0, -1.0) for b in kind), key=lambda c, k=k: rows[k].score(*c))
-    return decided
-
-
-def _omega(logs: np.ndarray) -> float:
-    """Return the natural frequency (rad/s) of a model of order 2."""
-    return float(np.exp(logs[1] / 2))
+def _resting(records: Sequence[Record], decided: Sequence[Beginning]) -> list[list[float]]:
+    """Return, for every record, the sensor offsets of the others that start at rest."""
+    resting = [k for k, b in enumerate(decided) if b.begins == "rest"]
+    groups = [({resting[m] for m in members}, zero) for members, zero, _ in level_groups([records[k] for k in resting])]
+    return [[zero for members, zero in groups if members != {k}] for k in range(len(records))]
 
 
 def _with_zeros(

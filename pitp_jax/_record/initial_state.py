@@ -1,11 +1,9 @@
-"""Estimate the initial state of records: sensor noise, first displacement and velocity, sensor offset at rest.
+"""Describe the initial state of records: sensor noise, constant input, sensor offset at rest.
 
     sigma ~ 1.4826 median |D^5 y| / sqrt(252)          (white noise, oversampled signal)
-    y(t) ~ a polynomial over the first samples: y(0) and y'(0) within noise
     measured = direction * displacement + offset       (both belong to a record, not to the actuator)
 
-A still record is at rest, settled at a held input, or at a turning point. Only the motion that follows can show which:
-`_identify.beginnings` and `_simulate.beginnings` decide it by likelihood.
+`start` decides how a record starts.
 """
 
 from collections.abc import Sequence
@@ -13,7 +11,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.polynomial.legendre import legvander
 
 from .._errors import BadInput
 from .checks import MIN_SAMPLES
@@ -22,11 +19,8 @@ from .record import Record
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
 _STILL, _SMALL, _FAINT = 10.0, 0.2, 0.02
-_SLOW = 0.01  # of omega times the range: a smaller velocity moves the mode by at most a hundredth of the range
-_FLAT, _LEVEL, _FEWEST_FLAT = 1e-3, 0.02, 24  # of the input's range; of a noisy input's and the output's range; samples
+_FLAT, _LEVEL = 1e-3, 0.02  # of the input's range, and of a noisy input's
 _FEWEST, _WITHIN = 8, 48  # observed samples needed for a first state; samples within which they must lie
-_K = np.arange(7.0)
-_AT_START = np.stack([(-1) ** _K, -((-1) ** _K) * _K * (_K + 1) / 2])  # P_k(-1) and P_k'(-1)
 
 
 @dataclass(frozen=True)
@@ -40,6 +34,8 @@ class Beginning:
         stderr: of the offset.
         group: records of a set with the same number share one offset.
         free: whether the offset is fitted as well (`zero` is then its initial value).
+        certainty: probability of this start beside the others.
+        level: first reading, output unit; nan if unknown.
     """
 
     begins: Begins
@@ -48,6 +44,8 @@ class Beginning:
     stderr: float
     group: int = 0
     free: bool = False
+    certainty: float = 1.0
+    level: float = float("nan")
 
 
 def noise_std(displacement: np.ndarray) -> float:
@@ -99,105 +97,6 @@ def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]
     return moving, (f"left out, because they show no motion beyond their noise: {', '.join(still)}",) if still else ()
 
 
-def first_states(record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Estimate the first displacement and velocity, with standard errors, over the first 8, 11, 16, 23, ... samples.
-
-        y(s) ~ c_0 P_0(s) + ... + c_6 P_6(s),   s = -1 ... 1 over the window, P_k Legendre's polynomials
-        y(-1) = sum_k<5 (-1)^k c_k,   y'(-1) = sum_k<5 (-1)^(k-1) k (k + 1) / 2 c_k;   the parts of c_5, c_6: their bias
-
-    A roll sampled at 5 kHz advances by 2 rad in 12 samples; a cone at 10 kHz needs 200 samples to exceed the noise. So
-    every window with a residual within the noise (or 0.1 % of range) gives its own estimate.
-
-    Returns:
-        values, standard errors: shape (windows, 2), at least one row; nan and inf if no window has enough samples.
-    """
-    span = record.span
-    noise = min(noise_std(record.displacement), 0.01 * span)
-    values, errors = [], []
-    # windows grow by sqrt 2 up to a quarter of the record
-    count = int(2 * np.log2(max(record.samples / 4 / _FEWEST, 1)))
-    for window in np.unique(np.round(_FEWEST * np.sqrt(2.0) ** np.arange(count + 1)).astype(int)):
-        y = record.displacement[:window]
-        keep = np.isfinite(y)
-        if keep.sum() < _FEWEST:
-            continue
-        # orthogonal over the window, so that the higher terms estimate the error of the lower ones
-        basis = legvander(2 * np.arange(window)[keep] / window - 1, 6)
-        fit, *_ = np.linalg.lstsq(basis, y[keep], rcond=None)
-        free = max(keep.sum() - 7, 1)
-        misfit = np.sqrt(np.sum((y[keep] - basis @ fit) ** 2) / free)
-        if misfit > max(noise * (1 + 3 / np.sqrt(2 * free)), 0.001 * span) and values:
-            break
-        unit = np.array([1.0, 2.0 / (window * record.dt)])
-        covariance = np.linalg.pinv(basis[:, :5].T @ basis[:, :5])
-        white = max(noise, misfit) * np.sqrt(np.diag(_AT_START[:, :5] @ covariance @ _AT_START[:, :5].T))
-        # Terms above the fourth power, hidden in the noise, bias the first velocity more than the noise does.
-        bent = np.linalg.norm(_AT_START[:, 5:] * fit[5:], axis=1)
-        values.append(_AT_START[:, :5] @ fit[:5] * unit)
-        errors.append(np.hypot(white, bent / 2) * unit)
-    return (np.array(values), np.array(errors)) if values else (np.full((1, 2), np.nan), np.full((1, 2), np.inf))
-
-
-def is_still(record: Record, omega: float) -> bool:
-    """Return whether the first sample was measured and its velocity is zero within the error.
-
-    The tolerance is 4 standard errors plus 0.01 omega times the output's range.
-
-    v / omega is the displacement that the velocity still causes in a mode of that frequency. One in 80 randomly cut
-    motions is as slow, at any sampling rate.
-
-    Args:
-        record: in base units.
-        omega: of the dominant mode, rad/s.
-    """
-    (_, v), (_, error), span = _sharpest(record)
-    return first_known(record) == 0 and bool(abs(v) <= 4 * error + _SLOW * omega * span)
-
-
-def starts_at_rest(record: Record, offset: float, omega: float) -> bool:
-    """Return whether a record starts at the sensor offset with zero velocity, both within their errors.
-
-    Args:
-        record: in base units.
-        offset: sensor offset, output unit.
-        omega: of the dominant mode, rad/s.
-    """
-    (y, v), (y_error, v_error), span = _sharpest(record)
-    near = min(4 * y_error, 0.015 * span) + 0.002 * span
-    return bool(abs(v) <= 4 * v_error + _SLOW * omega * span and abs(y - offset) <= near)
-
-
-def _sharpest(record: Record) -> tuple[np.ndarray, np.ndarray, float]:
-    """Return the most precise estimate of (y(0), y'(0)), its standard errors, and the output's range."""
-    values, errors = first_states(record)
-    best = int(np.argmin(errors[:, 1]))
-    return values[best], errors[best], record.span
-
-
-def beginning_of(record: Record, ahead: int, span: float) -> Record:
-    """Return the first part of a record: until `ahead` samples after the input first changes.
-
-    Args:
-        record: in base units.
-        ahead: samples.
-        span: range of the inputs that the model was made with, V.
-    """
-    lost = first_known(record)
-    size = lost + ahead
-    # noise and level of the first samples alone, and of twice as many while the input stands
-    while size < record.samples and standing_drive(_first(record, size), span)[0] == size:
-        size *= 2
-    stands = standing_drive(_first(record, size), span)[0] if size < record.samples else record.samples
-    return _first(record, max(stands, lost) + ahead)
-
-
-def _first(record: Record, samples: int) -> Record:
-    if samples >= record.samples:
-        return record
-    parts = {name: getattr(record, name)[:samples] for name in ("time", "voltage", "displacement")}
-    return replace(record, **parts)
-
-
 def standing_drive(record: Record, span: float | None = None) -> tuple[int, float]:
     """Return how many first samples have a constant input, and that input's level (V; exactly 0 if within its noise).
 
@@ -207,34 +106,11 @@ def standing_drive(record: Record, span: float | None = None) -> tuple[int, floa
     noise, span = noise_std(record.voltage), float(np.ptp(record.voltage)) if span is None else span
     moved = np.abs(record.voltage - np.median(record.voltage[:8])) > np.clip(6 * noise, _FLAT * span, _LEVEL * span)
     count = int(np.argmax(moved)) if moved.any() else record.samples
-    level = float(np.median(record.voltage[: max(count, 1)]))
-    # noise of a mean over so many samples
-    none = max(_FLAT * float(np.abs(record.voltage).max()), 4 * noise / np.sqrt(max(count, 1)))
+    constant = record.voltage[: max(count, 1)]
+    level = float(np.median(constant))
+    # noise of a mean over so many samples; the noise of a signal of steps would be its smallest step
+    none = max(_FLAT * float(np.abs(record.voltage).max()), 4 * float(constant.std()) / np.sqrt(len(constant)))
     return count, 0.0 if abs(level) <= none else level
-
-
-def settled_samples(record: Record, omega: float) -> int:
-    """Return how many first samples stand still: a constant output under a constant input; 0 if none.
-
-    This uses the data alone. For at least half a period, the means over quarters of a period differ by no more than
-    noise, 2 % of the range, and a third of the response to a jump from 0 V to this input (rest under a jump rings).
-    Then the record starts at rest at 0 V, or settled at a held input.
-
-    Args:
-        record: in base units.
-        omega: of the dominant mode, rad/s.
-    """
-    count, level = standing_drive(record)
-    quarter = 0.5 * np.pi / (omega * record.dt)
-    if first_known(record) > 0 or count < max(2 * quarter, _FEWEST_FLAT):
-        return 0
-    blocks = np.array_split(record.displacement[:count], max(int(count / max(quarter, 6.0)), 2))
-    means = np.array([np.mean(b[np.isfinite(b)]) for b in blocks if np.isfinite(b).any()])
-    noise = noise_std(record.displacement) / np.sqrt(count / len(blocks))
-    span = record.span
-    # squared, as the force is; for a linear input this bound is smaller
-    jump = (level / np.abs(record.voltage).max()) ** 2 if level else np.inf
-    return count if np.ptp(means) <= 5 * noise + min(_LEVEL, jump / 3) * span else 0
 
 
 def first_known(record: Record) -> int:

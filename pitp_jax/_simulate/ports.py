@@ -134,7 +134,7 @@ def reading(model: "Model", state: Float[Array, " state"]) -> Float[Array, ""]:
     for effect, states in zip(model.effects, parts, strict=True):
         if effect.port == "OUT":
             y = effect.apply(y, states)
-    return y
+    return y + sum(e.spec.crosses(e.p, z) for e, z in zip(model.effects, parts, strict=True) if e.spec.crosses)
 
 
 def readings(model: "Model", states: Float[Array, "time state"]) -> Float[Array, " time"]:

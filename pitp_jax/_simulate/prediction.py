@@ -35,7 +35,7 @@ FAR = 1e4  # a run beyond this scaled displacement has diverged
 
 
 @jit
-def estimate_start(
+def estimate_state(
     model: Model,
     voltage: Float[Array, " time"],
     displacement: Float[Array, " time"],
@@ -94,6 +94,7 @@ class Prediction(Shown):
         begins: "rest", "held" or "moving".
         zero, zero_stderr, direction: the record's own sensor offset and direction: measured = direction * x + zero (m
             or V).
+        start_certainty: probability of this start beside the others (`_record.start`).
     """
 
     name: str
@@ -108,6 +109,7 @@ class Prediction(Shown):
     direction: float = 1.0
     outside_training: str = ""
     not_excited: str = ""
+    start_certainty: float = 1.0
 
     def __repr__(self) -> str:
         """Return one line: the range of the prediction, and the assumed initial state of the record."""
@@ -189,9 +191,9 @@ def begin(
     ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, states = beginnings(model, records, ages)
     starts, spent = [], []
-    for record, age, state in zip(records, ages, states, strict=True):
+    for record, age, state, b in zip(records, ages, states, begun, strict=True):
         samples = 0 if state is not None else first_known(record) + initial_samples(model, record)
-        starts.append(_estimated(model, record, age, samples) if state is None else state)
+        starts.append(_estimated(model, aligned(record, b, model.output), age, samples) if state is None else state)
         spent.append(min(samples, record.samples))
     if aged and model.effects:
         # stretch by earlier records of the session remains (Mullins)
@@ -231,7 +233,7 @@ def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[
     observed = np.isfinite(x)
     voltage, known = on_device(u, dtype), on_device(np.where(observed, x, 0.0), dtype)
     now = on_device(age, dtype)  # an array, so that not every age needs a program
-    return estimate_start(model, voltage, known, on_device(observed), record.dt, now)
+    return estimate_state(model, voltage, known, on_device(observed), record.dt, now)
 
 
 def outside_fraction(model: Model, features: np.ndarray) -> float:
@@ -293,4 +295,5 @@ def _prediction(
     outside = 1.0 if first == 0 else outside_fraction(model, features)
     words = outside_words(model, features, record.time[:first] - record.time[0])
     own = begun.begins, begun.zero, begun.stderr, begun.direction
-    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words)
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words,
+                      start_certainty=begun.certainty)  # fmt: skip

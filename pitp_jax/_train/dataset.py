@@ -13,9 +13,9 @@ from jaxtyping import Float
 
 from .._errors import BadInput
 from .._model.model import Model, Scales
-from .._record.initial_state import starts_at_rest
 from .._record.preprocess import StateRecord, cutoff, force_band, preprocess
 from .._record.record import Record
+from .._simulate.prediction import begin
 from .equation_error import EquationData
 
 
@@ -76,11 +76,10 @@ def build_dataset(
     model = eqx.tree_at(lambda m: m.memory, model, memory(states))
     scale = model.scales.state
     features, equation = [], []
-    for r, s in zip(records, states, strict=True):
+    for s, b in zip(states, begin(nominal, records)[2], strict=True):
         x = s.states / scale
-        rest = starts_at_rest(r, nominal.output.offset, nominal.natural_frequency)
         # the past of a record that starts moving is unknown: assume it was held at its first position
-        start = model.memory.initial(jnp.asarray(0.0 if rest else x[0, 0], jnp.float32))
+        start = model.memory.initial(jnp.asarray(0.0 if b.begins == "rest" else x[0, 0], jnp.float32))
         past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)
         features.append(np.concatenate([x[:, :-1], np.asarray(past)], -1).astype(np.float32))
         equation.append((features[-1][s.valid], x[s.valid], s.force[s.valid] / model.scales.force))

@@ -28,6 +28,7 @@ KEYS = {
     "pieces",
     "term",
     "clock_shift_s",
+    "input_lag_s",
 }
 KEYS |= {"budget", "handed_back", "parts", "refit", "written_by"}
 GAP = {"before", "after", "unrefitted", "noise_floor", "floor_from", "closed_fraction", "ci95", "explainable"}

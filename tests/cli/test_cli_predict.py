@@ -127,6 +127,18 @@ def test_a_record_without_a_figure_says_why(call, bench, monkeypatch):
     assert line.startswith("sine2 ")
 
 
+def test_an_uncertain_start_is_printed(call, bench, monkeypatch):
+    real = command.run_predict
+
+    def fake(model, records):
+        return tuple(replace(p, start_certainty=0.6 if p.name == "sine2" else 1.0) for p in real(model, records))
+
+    monkeypatch.setattr(command, "run_predict", fake)
+    assert "in motion): 1 recording (sine2)." in call("predict", bench / "nominal", bench / "records")[1]
+    monkeypatch.setattr(command, "run_predict", real)
+    assert "uncertain" not in call("predict", bench / "nominal", bench / "records")[1]
+
+
 def test_predict_fails_only_where_all_diverge(call, bench, tmp_path, diverging):
     diverging.update(DRIVES)
     code, _, err = call("predict", bench / "nominal", bench / "records", "--json", tmp_path / "j")
