@@ -26,8 +26,8 @@ from pitp_jax._diagnose.library import (
     named,
     names_of,
 )
-from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
-from pitp_jax._diagnose.verdict import decide, separable
+from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search, _varied
+from pitp_jax._diagnose.verdict import closing_fractions, decide, separable
 from pitp_jax._effects import CATALOGUE, lookup
 
 SCALE = Scale(
@@ -108,6 +108,13 @@ def test_a_memory_starts_with_the_stiffness_and_the_mass_of_the_set_below_it():
     assert len(begun) > 3 and min(kappas) > 0
     for f, kappa in zip(begun, kappas, strict=True):
         np.testing.assert_allclose(f.slots[:3] * [1 + kappa, 1, 1], slots[:3], rtol=1e-12)
+
+
+def test_starts_of_all_forms_take_turns():
+    """Of two forms the second start of the worse one is tried before the third of the better one."""
+    forms_of = [("a0", "a1"), ("a0", "a1"), ("a2",), ("a0", "a1"), ("a2",), ("a1", "a0")]
+    fits = [Fit((), free, OFF.copy(), np.zeros((1, 2))) for free in forms_of]
+    assert [next(n for n, g in enumerate(fits) if g is f) for f in _varied(fits)] == [0, 2, 1, 4, 3, 5]
 
 
 def test_a_number_stays_within_what_was_reached():
@@ -210,6 +217,17 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     assert searched(hypothesis(("backlash",), 0.303, numbers=4), hypothesis(("delay",), 0.30)).best().names == (
         "delay",
     )
+
+
+def test_effects_that_joined_together_are_fitted_one_by_one_for_their_fractions(monkeypatch):
+    """A mass that changes nothing had half of the gain of the force beside it."""
+    both = hypothesis(("added_mass", "term"), 0.1, labels=("added_mass", "term"))
+    search = searched(both)
+    search.budget = Budget()
+    single = {"added_mass": hypothesis(("added_mass",), 0.99), "term": hypothesis(("term",), 0.101)}
+    monkeypatch.setattr(search, "_again", lambda h, key: search.every.__setitem__(key, single[next(iter(key))]))
+    fractions = closing_fractions(search, both)
+    assert fractions["added_mass"] < 0.01 < 0.99 < fractions["term"]
 
 
 def test_steps_are_kept_for_judging_what_was_fitted():

@@ -48,6 +48,7 @@ class Decision:
         reason: why no effect is reported, in words.
         rivals: effects that no verdict could separate.
         alone: error of separate linear models of few records.
+        unchanged: the reference added to the base without changed coefficients.
     """
 
     verdict: str
@@ -62,6 +63,7 @@ class Decision:
     reason: str = ""
     rivals: tuple[str, ...] = field(default=())
     alone: Evidence | None = None
+    unchanged: Evidence | None = None
 
 
 def decide(search: Search, own: float, noise: float, distinct: int, usual: float = 0.0) -> Decision:
@@ -84,7 +86,7 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
-                        tuple(rivals), alone)  # fmt: skip
+                        tuple(rivals), alone, bars[0])  # fmt: skip
 
     if search.given.reaches(own):
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
