@@ -27,6 +27,7 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax._demo.protocol import kind, measure
+from pitp_jax._identify.identification import structure_of
 from pitp_jax._structure.choice import Choice, Fitting, choose, impose
 
 HERE = Path(__file__).resolve().parent
@@ -63,10 +64,12 @@ def fitted(model: str, records: Sequence, row: str, seed: int, options) -> tuple
     """Fit one model; return its predictor (record -> displacement) and what is known of its structure."""
     input_map = "linear" if row == "silverbox" else "square"
 
-    def identify(some: Sequence):
-        return pitp.identify(some, input_map=input_map, order=options.order).model
+    nominal = pitp.identify(records, input_map=input_map, order=options.order).model
+    key = jax.random.key(seed)
 
-    nominal, key = identify(records), jax.random.key(seed)
+    def identify(some: Sequence):
+        return pitp.identify(some, input_map=input_map, **structure_of(nominal)).model
+
     if model in ("gru", "lumped"):
         from benchmarks.peers import lumped, recurrent
 

@@ -9,8 +9,10 @@ import pytest
 
 from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.evidence import evidence
+from pitp_jax._diagnose.evidence import evidence, probability
 from pitp_jax._diagnose.fit import Fit, at
+from pitp_jax._diagnose.gap import explains_most
+from pitp_jax._diagnose.handing_back import surely_improves
 from pitp_jax._diagnose.library import (
     INDEX,
     NAMES,
@@ -391,6 +393,12 @@ def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
     assert decide(search, 0.0 if refit else usual, 0.1, 6, usual).verdict == verdict_
 
 
+def test_the_own_error_of_a_model_that_explains_little_is_no_noise():
+    """Deviations of 1 and 4: their geometric mean is 2."""
+    outputs = [size * np.tile([1.0, -1.0], 50) + 7 for size in (1, 4)]
+    assert explains_most(outputs, 0.99) and not explains_most(outputs, 1.01)
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -404,3 +412,14 @@ def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
 def test_poles_that_no_sample_shows_are_moved_to_where_a_rollout_follows_them(before, after):
     """a_0 + a_1 s + a_2 s^2 = a_0 (1 - s / p)(1 - s / q) with p, q no faster than 500 1/s."""
     np.testing.assert_allclose(_no_faster(np.array(before), 500.0), after, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize(("worse", "better"), [(1, True), (2, False)])
+def test_a_model_is_handed_back_if_the_interval_of_what_it_closes_excludes_zero(worse, better):
+    """Of six recordings one or two get worse by a factor of 1.7, the others better by half."""
+    given = hypothesis((), 1.0)
+    rows = [(1.7 if k < worse else 0.5) * r for k, r in enumerate(given.residuals)]
+    h = replace(given, residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
+    p = probability(h.evidence, given.evidence)
+    assert (p > 0.975) if better else (0.9 < p < 0.975)
+    assert surely_improves(h, given) == better

@@ -17,7 +17,7 @@ from pitp_jax._diagnose.library import INDEX, OFF, slots_of_row
 from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.parts import Parts, parts_of
 from pitp_jax._diagnose.report.formatting import parameter_between
-from pitp_jax._diagnose.report.words import lines, part_lines
+from pitp_jax._diagnose.report.words import certainty, lines, part_lines
 from pitp_jax._diagnose.verdict import decide
 from pitp_jax._effects import lookup
 
@@ -186,6 +186,9 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
         explained
     )
     assert lines(explained)[-1].startswith("Next: predict and invert with model_augmented")
+    shares = {0.0: "not certain", 0.06: "too small to be named as a cause", 0.5: "not certain"}
+    unsure = replace(explained.parts[0], certainty="none")
+    assert {share: certainty(replace(unsure, fraction=share)) for share in shares} == shares
     assert len(repr(explained).splitlines()) <= 10 and "12.3 ms" in explained._repr_html_()
 
 

@@ -4,6 +4,7 @@ import doctest
 import inspect
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import equinox as eqx
 import jax
@@ -13,6 +14,7 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax._model.fitted import fitted_of, model_of
 from pitp_jax._record.writing import write_csv
 from pitp_jax._simulate.decoder import rollout_batch
 
@@ -104,6 +106,16 @@ for f in (
     except pitp.BadInput as error:
         print(error)
 """
+
+
+def test_a_result_that_holds_a_model_counts_as_the_model(known):
+    fitted = pitp.Fitted(known)
+    for held in (known, fitted):
+        result = SimpleNamespace(model=held)
+        assert model_of(result) is known and fitted_of(result).model is known
+    assert fitted_of(SimpleNamespace(model=fitted)) is fitted
+    with pytest.raises(pitp.BadInput, match="a SimpleNamespace is not a model"):
+        model_of(SimpleNamespace(model="nominal"))
 
 
 @pytest.mark.slow

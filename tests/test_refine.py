@@ -23,6 +23,7 @@ from pitp_jax._train import refine as refining
 from pitp_jax._train.dataset import build_dataset
 from pitp_jax._train.parameters import parameters
 from pitp_jax._train.refine import refine
+from pitp_jax._train.shapes import Shapes
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
 TIME = np.arange(SAMPLES) * DT
@@ -174,7 +175,7 @@ def lost(model, runs):
 
 
 def how(**changes):
-    return refining._How(DT, quiet, 1e-4, None, None)
+    return refining._How(DT, quiet, 1e-4, None, None, 8)
 
 
 @pytest.mark.slow
@@ -222,7 +223,7 @@ def test_steps_that_win_little_are_the_last(start, monkeypatch, kept, steps):
     vector = parameters(start[0])[0]
     monkeypatch.setattr(refining, "_problem", lambda *_: SimpleNamespace(errors=None, slopes=None))
     monkeypatch.setattr(refining, "accelerated", lambda *_: ((vector, kept**k, False) for k in range(99)))
-    how = refining._How(DT, quiet, 1e-4, None, None)
+    how = refining._How(DT, quiet, 1e-4, None, None, 8)
     assert len(list(refining._descend(start[0], (), 20, "free runs", how))) == steps
 
 
@@ -300,3 +301,22 @@ def test_one_short_record_does_not_shorten_the_windows(plant, start):
     more = replace(data, features=(*data.features, data.features[1][:64]), valid=(*data.valid, data.valid[1][:64]))
     among = refining._windows(model, more, [*plant[1], short])
     assert among.voltage.shape == refining._windows(model, data, plant[1]).voltage.shape
+
+
+def test_windows_of_another_training_keep_their_shape_and_the_weight_of_each_record(plant, start, linear):
+    """A window that now starts in a gap is a copy of a valid one and has no weight."""
+    model, data = start
+    own = refining._windows(model, data, plant[1], 1.0)
+    samples = len(data.equation.force)
+    shapes = Shapes(1, 0.2, samples + 7, data.valid, False)
+    faster = eqx.tree_at(lambda m: m.coefficients, model, model.coefficients * jnp.array([4.0, 2.0, 1.0]))
+    lost = tuple(v & (np.arange(len(v)) >= 300) for v in data.valid)
+    assert refining._windows(faster, data, plant[1], 1.0).target.shape != own.target.shape
+    runs = refining._windows(faster, replace(data, valid=lost), plant[1], 1.0, shapes)
+    assert runs.target.shape == own.target.shape
+    counts = np.asarray(runs.weight).max(1) > 0
+    assert 0 < counts.sum() < counts.size
+    np.testing.assert_array_equal(runs.target[~counts], runs.target[np.argmax(counts)][None].repeat((~counts).sum(), 0))
+    assert float(runs.weight.sum()) == pytest.approx(float(own.weight.sum()), rel=0.1)
+    force = np.asarray(data.equation.force)
+    np.testing.assert_array_equal(shapes.filled(data.equation).force, np.append(force, force[:7]))

@@ -12,7 +12,7 @@ from pitp_jax._model import CompactEncoder
 from pitp_jax._model.fitted import model_of
 from pitp_jax._record.excited import distinct
 from pitp_jax._structure.choice import STRUCTURES, Fitting, best_structure, choose, impose
-from pitp_jax._structure.left_out import folds_of
+from pitp_jax._structure.left_out import folds_of, with_stand_ins
 from pitp_jax._structure.physical import as_training
 from pitp_jax._train.errors import Score
 
@@ -40,6 +40,19 @@ def test_every_excitation_is_left_out_whole_and_once():
     assert len(found.excitations) == 5 and len(found.folds) == 3
     assert sorted(k for fold in found.folds for k in fold) == list(range(10))
     assert all(set(e) <= set(fold) or not set(e) & set(fold) for e in found.excitations for fold in found.folds)
+
+
+def test_stand_ins_are_as_long_as_those_left_out_and_hold_nothing_of_them():
+    """Each of the others is copied once before any is copied twice; a copy that is too short ends with gaps."""
+    records = [pitp.Record(f"{k}", 5.0 + TIME[:n], np.full(n, 10.0 + k), np.full(n, 20.0 + k))
+               for k, n in enumerate((400, 1000, 600, 500))]  # fmt: skip
+    filled = with_stand_ins(records, (1, 3))
+    assert [r.samples for r in filled] == [r.samples for r in records] and len({r.name for r in filled}) == 4
+    assert filled[0] is records[0] and filled[2] is records[2]
+    for place, donor in ((1, 2), (3, 0)):
+        one, seen = filled[place], min(records[place].samples, records[donor].samples)
+        np.testing.assert_array_equal(one.displacement[:seen], records[donor].displacement[:seen])
+        assert np.isnan(one.displacement[seen:]).all() and (one.voltage == 10.0 + donor).all()
 
 
 CONSTANT = np.full(4, 35.0)

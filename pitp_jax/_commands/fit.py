@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 
 from .._errors import BadInput
-from .._identify.identification import Identification, identify
+from .._identify.identification import Identification, identify, structure_of
 from .._model.fitted import Fitted
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
@@ -63,18 +63,19 @@ def fit(
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
     warn(read_in)
 
-    def identified(some):
-        return _identified(some, order or "auto", input_map or "square")
+    def identified(some, **how):
+        return _identified(some, input_map=input_map or "square", **how)
 
     given, first = start, None
     if start is None:
-        first = identified(read_in)
+        first = identified(read_in, order=order or "auto")
         start = first.model
     check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
-    anew = (lambda _: given) if given else (lambda some: identified(some).model)
-    fitting = Fitting(start, anew, **how, progress=ProgressBar().update, say=say)
+    anew = (lambda _: given) if given else (lambda some: identified(some, order=order or "auto").model)
+    alike = (lambda _: given) if given else (lambda some: identified(some, **structure_of(start)).model)
+    fitting = Fitting(start, alike, **how, progress=ProgressBar().update, say=say)
     chosen = _structured(structure, fitting, read_in, cross_validate)
     done, held_out = chosen.training, chosen.held_out
     save(out, with_left_out(done.model, held_out) if held_out else done.model)
@@ -155,13 +156,13 @@ def _given(path: str, order, input_map) -> Fitted:
     return model
 
 
-def _identified(records, order, input_map) -> Identification:
+def _identified(records, **how) -> Identification:
     """Identify a nominal model on the sweeps among the records, or on all records if there is no sweep."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")
     else:
         say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
-    identified = identify(sweeps or records, order=order, input_map=input_map, progress=say)
+    identified = identify(sweeps or records, progress=say, **how)
     say(f"identified order {identified.model.order}")
     return identified

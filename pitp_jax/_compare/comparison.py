@@ -38,8 +38,7 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
         as_json = [dict(one) if isinstance(one, Mapping) else one.as_json() for one in (a, b)]
         return compare_diagnoses(as_json[0], as_json[1], names)
     if kinds[0] == "a model":
-        models = [fitted_of(one if isinstance(one, Model | Fitted) else one.model) for one in (a, b)]
-        return compare_models(models[0], models[1], names)
+        return compare_models(fitted_of(a), fitted_of(b), names)
     return compare_records(list(a), list(b), names)
 
 

@@ -497,7 +497,7 @@ class Search:
         for depth in range(1, DEPTH + 1):
             if depth == 1 and not self.budget.allows("sets of 1 effect"):
                 break
-            self.budget.begin(f"sets of {depth}: added to {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: added to {' and '.join(dict.fromkeys(map(_written, fronts)))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:

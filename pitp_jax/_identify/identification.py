@@ -12,6 +12,7 @@ optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, dela
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
+from typing import Any
 
 import numpy as np
 from scipy.signal import StateSpace
@@ -129,6 +130,12 @@ class Identification(Shown):
             raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
         system = self.to_scipy()
         return control.ss(system.A, system.B, system.C, system.D)
+
+
+def structure_of(model: Fitted) -> dict[str, Any]:
+    """Return the options with which `identify` gives a model of the same order and hold, with or without a delay."""
+    delayed = any(e.name == "delay" for e in model.effects)
+    return {"order": model.order, "hold": model.hold, "learn" if delayed else "leave_out": ("delay",)}
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # products of ten columns: threads cost five times what they save

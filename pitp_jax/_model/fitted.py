@@ -68,26 +68,28 @@ jax.tree_util.register_pytree_with_keys(
 )
 
 
-def model_of(given: Model | Fitted) -> Model:
-    """Return the bare model of a `Fitted`; a bare model is returned unchanged.
+def model_of(given: object) -> Model:
+    """Return the bare model of a `Fitted` or of a result that holds one; a bare model is returned unchanged.
 
     Raises:
         BadInput: the argument is not a model; the message names its type and the accepted types.
     """
-    if isinstance(given, Fitted):
-        return given.model
-    if isinstance(given, Model):
+    if isinstance(given, Model) and not isinstance(given, Fitted):
         return given
-    inside = isinstance(getattr(given, "model", None), Model)
-    kind = type(given).__name__
-    remedy = f"give its .model (the {kind} holds one)" if inside else "give pitp.load(FILE) or identify(...).model"
-    raise BadInput(f"a {kind} is not a model; {remedy}")
+    return fitted_of(given).model
 
 
-def fitted_of(given: Model | Fitted) -> Fitted:
+def fitted_of(given: object) -> Fitted:
     """Return the model with its origin, which is empty for a bare model.
+
+    A result that holds a model (of `identify`, `train`, `adapt` or `diagnose`) counts as this model.
 
     Raises:
         BadInput: as `model_of`.
     """
-    return given if isinstance(given, Fitted) else Fitted(model_of(given))
+    held = given if isinstance(given, Model | Fitted) else getattr(given, "model", None)
+    if isinstance(held, Fitted):
+        return held
+    if isinstance(held, Model):
+        return Fitted(held)
+    raise BadInput(f"a {type(given).__name__} is not a model; give pitp.load(FILE) or identify(...).model")

@@ -38,7 +38,7 @@ M = TypeVar("M", bound=Sampled)
 
 
 def reduce_rate(
-    records: Sequence[Record], model: M, samples_per_period: float, *, least: int = 2
+    records: Sequence[Record], model: M, samples_per_period: float, *, least: int = 2, size: int | None = None
 ) -> tuple[Sequence[Record], M]:
     """Average records over blocks and convert the model to the new rate; return both unchanged if blocks are too small.
 
@@ -47,12 +47,14 @@ def reduce_rate(
         model: its modes count among the fastest motion; its coefficients stay valid for the records' own rate.
         samples_per_period: kept of the fastest motion, at least.
         least: size of the blocks from which it is worthwhile.
+        size: of the blocks, if it is known.
     """
     dt, shortest = records[0].dt, min(r.samples for r in records)
     forces = [model.input_map.force(r.voltage) for r in records]
-    poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
-    ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
-    size = block_size(dt, fastest_hz(records, forces, ringing / (2 * np.pi)), samples_per_period, shortest)
+    if size is None:
+        poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
+        ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
+        size = block_size(dt, fastest_hz(records, forces, ringing / (2 * np.pi)), samples_per_period, shortest)
     if size < least:
         return records, model
     small = [_with_voltage(r, f, size, model) for r, f in zip(records, forces, strict=True)]

@@ -23,11 +23,12 @@ from .._record.record import Record
 from .._train.cross_validation import HeldOut
 from .._train.errors import Score, errors
 from .._train.settings import Settings
+from .._train.shapes import Shapes
 from .._train.training import Training, train
 from .left_out import Identify, errors_left_out, folds_of
 from .physical import Physical, as_training, find_physical
 
-_TIMES = 7  # of the encoder's training, as measured without networks beside effects (docs/decisions/structure.md)
+_TIMES = 2  # of the encoder's training, as measured without networks beside effects (docs/decisions/structure.md)
 STRUCTURES = ("physical", "encoder", "both")  # those with the fewest parameters first
 
 
@@ -127,14 +128,14 @@ def _compared(how: Fitting, moving: Sequence[Record], folds, encoder: Training) 
         if structure == "both" and not _helps(grouped):
             continue
         every |= errors_left_out([structure], moving, folds, how.identify, physical, settings=how.settings, key=how.key,
-                                 progress=how.progress)  # fmt: skip
+                                 shapes=encoder.shapes, progress=how.progress)  # fmt: skip
         grouped[structure] = _by_excitation(_percent(every[structure]), folds.excitations)
     still = np.array([100 * np.nanstd(r.displacement) / r.span for r in moving])
     chosen, reason = best_structure(grouped, _by_excitation(still, folds.excitations))
     training = encoder
     if chosen != "encoder" and physical is not None:
         try:
-            training = _trained(chosen, how, physical, moving, began)
+            training = _trained(chosen, how, physical, moving, began, encoder.shapes)
         except (BadInput, ComputationFailed) as error:
             chosen, reason = "encoder", f"{chosen} cannot be fitted to all recordings: {error}"
     means = {s: float(np.exp(np.mean(np.log(e)))) for s, e in grouped.items()}
@@ -170,7 +171,7 @@ def impose(structure: str, how: Fitting, records: Sequence[Record], cross_valida
         if len(folds.excitations) < 2:
             raise BadInput("all recordings have the same excitation, so none can be left out")
         found = errors_left_out([structure], moving, folds, how.identify, physical, settings=how.settings, key=how.key,
-                                progress=how.progress)  # fmt: skip
+                                shapes=training.shapes, progress=how.progress)  # fmt: skip
         held_out = _held_out(training, moving, found[structure])
     return Choice(structure, "given by --structure", training, held_out=held_out)
 
@@ -183,12 +184,15 @@ def _searched(how: Fitting, moving: Sequence[Record]) -> Physical | None:
         return None
 
 
-def _trained(structure: str, how: Fitting, physical: Physical, moving: Sequence[Record], began: float) -> Training:
+def _trained(
+    structure: str, how: Fitting, physical: Physical, moving: Sequence[Record], began: float,
+    shapes: Shapes | None = None,
+) -> Training:  # fmt: skip
     model = physical.model(moving)
     if structure == "physical":
         return as_training(model, how.nominal, moving, time.monotonic() - began)
     settings = replace(how.settings, remainder=True)
-    return train(model, moving, settings=settings, key=how.key, progress=how.progress)
+    return train(model, moving, settings=settings, shapes=shapes, key=how.key, progress=how.progress)
 
 
 def _by_excitation(values: np.ndarray, excitations: Sequence[Sequence[int]]) -> np.ndarray:

@@ -1,4 +1,8 @@
-"""Compute the error of each structure on excitations that were left out of its fit."""
+"""Compute the error of each structure on excitations that were left out of its fit.
+
+Copies of other recordings take the places of those left out, so that every fold has the shapes of the fit to all
+recordings (`Shapes`) and runs the same compiled programs.
+"""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -12,6 +16,7 @@ from .._record.excited import distinct
 from .._record.record import Record
 from .._train.errors import Score, scores
 from .._train.settings import Settings
+from .._train.shapes import Shapes
 from .._train.training import train
 from .physical import Physical
 
@@ -42,9 +47,41 @@ def folds_of(records: Sequence[Record]) -> Folds:
     return Folds(groups, tuple(tuple(sorted(k for group in some for k in group)) for some in together))
 
 
+def with_stand_ins(records: Sequence[Record], fold: Sequence[int]) -> list[Record]:
+    """Return the recordings with copies of others in the places of a fold, as long as those and under other names.
+
+    A copy that is too short ends with missing samples.
+    """
+    filled, donors = list(records), [k for k in range(len(records)) if k not in fold]
+    uses = dict.fromkeys(donors, 0)
+    for k in fold:
+        # of equal length if possible; otherwise the one copied least, so that no recording dominates
+        donor = min(donors, key=lambda d: (uses[d], abs(records[d].samples - records[k].samples)))
+        uses[donor] += 1
+        filled[k] = _as_long(records[donor], records[k])
+    return filled
+
+
+def _as_long(record: Record, other: Record) -> Record:
+    """Return a copy of a record with the times of another one."""
+    size, missing = other.samples, max(other.samples - record.samples, 0)
+    voltage = np.pad(record.voltage[:size], (0, missing), mode="edge")
+    displacement = np.pad(record.displacement[:size], (0, missing), constant_values=np.nan)
+    return replace(other, name=f"{other.name} (stand-in)", voltage=voltage, displacement=displacement)
+
+
+@dataclass(frozen=True)
+class _Part:
+    """The recordings of a fit without one fold: the remaining ones, and these with stand-ins."""
+
+    fold: tuple[int, ...]
+    others: list[Record]
+    filled: list[Record]
+
+
 def errors_left_out(
     structures: Sequence[str], records: Sequence[Record], folds: Folds, identify: Identify, physical: Physical | None,
-    *, settings: Settings, key, progress=lambda _: None,
+    *, settings: Settings, shapes: Shapes | None, key, progress=lambda _: None,
 ) -> dict[str, list[Score]]:  # fmt: skip
     """Return the errors of each recording, predicted by every structure fitted without its excitation.
 
@@ -56,36 +93,37 @@ def errors_left_out(
         physical: the effects; None counts as a structure that cannot be fitted. Their names were found on all
             recordings; their parameters and the coefficients are fitted without the excitation.
         settings: of a training; in the folds its steps are limited.
+        shapes: of a training on all recordings.
         key, progress: as for `train`.
     """
     short = replace(settings, refine_steps=min(settings.refine_steps, _STEPS), starts=1,
                     stages=min(settings.stages, _STAGES))  # fmt: skip
     found = {s: [Score(np.inf, ())] * len(records) for s in structures}
     for fold in folds.folds:
-        others = [r for k, r in enumerate(records) if k not in fold]
-        left_out = [records[k] for k in fold]
-        names = {r.name for r in left_out}
-        for structure, model in _fitted(structures, others, names, identify, physical, short, key, progress):
-            for k, errors in zip(fold, scores(model, left_out), strict=True):
-                found[structure][k] = errors
+        part = _Part(fold, [r for k, r in enumerate(records) if k not in fold], with_stand_ins(records, fold))
+
+        def trained(nominal, chosen: Settings, part=part):
+            return train(nominal, part.filled, settings=chosen, shapes=shapes, key=key, progress=progress).model
+
+        names = {records[k].name for k in fold}
+        for structure, model in _fitted(structures, part, names, identify, physical, short, trained):
+            every = scores(model, records)  # all of them have the shapes of the fit
+            for k in fold:
+                found[structure][k] = every[k]
     return found
 
 
 def _fitted(
-    structures: Sequence[str], others: Sequence[Record], names: set[str], identify: Identify,
-    physical: Physical | None, settings: Settings, key, progress,
+    structures: Sequence[str], part: _Part, names: set[str], identify: Identify, physical: Physical | None,
+    settings: Settings, trained: Callable,
 ) -> Iterator[tuple[str, Model | Fitted]]:  # fmt: skip
-    """Yield (structure, model) for every structure that can be fitted to the recordings `others`."""
-
-    def trained(nominal, chosen: Settings):
-        return train(nominal, others, settings=chosen, key=key, progress=progress).model
-
+    """Yield (structure, model) for every structure that can be fitted to a part of the recordings."""
     base = None
     if physical is not None and {"physical", "both"} & {*structures}:
-        base = _unless_failed(lambda: physical.without(others, names))
+        base = _unless_failed(lambda: physical.without(part.filled, names))
     makers: dict[str, Callable[[], Model | Fitted | None]] = {
         "physical": lambda: base,
-        "encoder": lambda: trained(identify(others), settings),
+        "encoder": lambda: trained(identify(part.others), settings),
         "both": lambda: None if base is None else trained(base, replace(settings, remainder=True)),
     }
     for structure in structures:
