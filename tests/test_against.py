@@ -212,7 +212,7 @@ def test_what_cannot_be_meant_is_refused(simulator):
         wrongly(simulator, recordings(), position_gain=1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.exhaustive  # the notebook for robots asserts the same of these recordings at their full length
 def test_the_joints_friction_and_delay_are_recovered(tmp_path):
     """Simulator at 200 Hz, robot at 500 Hz with a log begun 0.7 s earlier; 0.7 N m, 20 ms and 0.02 rad were made."""
     joint.write(tmp_path, quick=True)

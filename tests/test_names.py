@@ -9,8 +9,10 @@ import pytest
 
 from pitp_jax._diagnose import verdict
 from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.evidence import evidence
+from pitp_jax._diagnose.evidence import evidence, probability
 from pitp_jax._diagnose.fit import Fit, at
+from pitp_jax._diagnose.gap import explains_most
+from pitp_jax._diagnose.handing_back import surely_improves
 from pitp_jax._diagnose.library import (
     INDEX,
     NAMES,
@@ -24,8 +26,8 @@ from pitp_jax._diagnose.library import (
     named,
     names_of,
 )
-from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search
-from pitp_jax._diagnose.verdict import decide, separable
+from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search, _varied
+from pitp_jax._diagnose.verdict import closing_fractions, decide, separable
 from pitp_jax._effects import CATALOGUE, lookup
 
 SCALE = Scale(
@@ -106,6 +108,13 @@ def test_a_memory_starts_with_the_stiffness_and_the_mass_of_the_set_below_it():
     assert len(begun) > 3 and min(kappas) > 0
     for f, kappa in zip(begun, kappas, strict=True):
         np.testing.assert_allclose(f.slots[:3] * [1 + kappa, 1, 1], slots[:3], rtol=1e-12)
+
+
+def test_starts_of_all_forms_take_turns():
+    """Of two forms the second start of the worse one is tried before the third of the better one."""
+    forms_of = [("a0", "a1"), ("a0", "a1"), ("a2",), ("a0", "a1"), ("a2",), ("a1", "a0")]
+    fits = [Fit((), free, OFF.copy(), np.zeros((1, 2))) for free in forms_of]
+    assert [next(n for n, g in enumerate(fits) if g is f) for f in _varied(fits)] == [0, 2, 1, 4, 3, 5]
 
 
 def test_a_number_stays_within_what_was_reached():
@@ -208,6 +217,17 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     assert searched(hypothesis(("backlash",), 0.303, numbers=4), hypothesis(("delay",), 0.30)).best().names == (
         "delay",
     )
+
+
+def test_effects_that_joined_together_are_fitted_one_by_one_for_their_fractions(monkeypatch):
+    """A mass that changes nothing had half of the gain of the force beside it."""
+    both = hypothesis(("added_mass", "term"), 0.1, labels=("added_mass", "term"))
+    search = searched(both)
+    search.budget = Budget()
+    single = {"added_mass": hypothesis(("added_mass",), 0.99), "term": hypothesis(("term",), 0.101)}
+    monkeypatch.setattr(search, "_again", lambda h, key: search.every.__setitem__(key, single[next(iter(key))]))
+    fractions = closing_fractions(search, both)
+    assert fractions["added_mass"] < 0.01 < 0.99 < fractions["term"]
 
 
 def test_steps_are_kept_for_judging_what_was_fitted():
@@ -391,6 +411,12 @@ def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
     assert decide(search, 0.0 if refit else usual, 0.1, 6, usual).verdict == verdict_
 
 
+def test_the_own_error_of_a_model_that_explains_little_is_no_noise():
+    """Deviations of 1 and 4: their geometric mean is 2."""
+    outputs = [size * np.tile([1.0, -1.0], 50) + 7 for size in (1, 4)]
+    assert explains_most(outputs, 0.99) and not explains_most(outputs, 1.01)
+
+
 @pytest.mark.parametrize(
     ("before", "after"),
     [
@@ -404,3 +430,14 @@ def test_coloured_noise_is_no_gap(refit, error, usual, verdict_):
 def test_poles_that_no_sample_shows_are_moved_to_where_a_rollout_follows_them(before, after):
     """a_0 + a_1 s + a_2 s^2 = a_0 (1 - s / p)(1 - s / q) with p, q no faster than 500 1/s."""
     np.testing.assert_allclose(_no_faster(np.array(before), 500.0), after, rtol=1e-5, atol=1e-12)
+
+
+@pytest.mark.parametrize(("worse", "better"), [(1, True), (2, False)])
+def test_a_model_is_handed_back_if_the_interval_of_what_it_closes_excludes_zero(worse, better):
+    """Of six recordings one or two get worse by a factor of 1.7, the others better by half."""
+    given = hypothesis((), 1.0)
+    rows = [(1.7 if k < worse else 0.5) * r for k, r in enumerate(given.residuals)]
+    h = replace(given, residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
+    p = probability(h.evidence, given.evidence)
+    assert (p > 0.975) if better else (0.9 < p < 0.975)
+    assert surely_improves(h, given) == better

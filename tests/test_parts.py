@@ -13,13 +13,14 @@ from test_names import SCALE, hypothesis, searched
 from pitp_jax._diagnose import parts, result, verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.gap import Gap, as_far_as_closed
-from pitp_jax._diagnose.library import INDEX, OFF, slots_of_row
+from pitp_jax._diagnose.library import INDEX, OFF, Form, slots_of_row
 from pitp_jax._diagnose.next_experiment import Experiment
 from pitp_jax._diagnose.parts import Parts, parts_of
 from pitp_jax._diagnose.report.formatting import parameter_between
-from pitp_jax._diagnose.report.words import lines, part_lines
+from pitp_jax._diagnose.report.words import certainty, lines, part_lines
+from pitp_jax._diagnose.search import PARAMETERS
 from pitp_jax._diagnose.verdict import decide
-from pitp_jax._effects import lookup
+from pitp_jax._effects import CATALOGUE, lookup
 
 CREEP, CLIP = lookup("creep", "one branch"), lookup("voltage_clip", "hard")
 KAPPA, TAU = slots_of_row(CREEP)
@@ -45,7 +46,7 @@ def fitted(names, error, slots, without=(), labels=None):
 def judged(monkeypatch, linear):
     """fn(search, handed, effects, errors): parts; recordings of 9 s, numbers of these standard errors."""
 
-    def make(search, handed, effects, errors) -> Parts:
+    def make(search, handed, effects, errors, library=()) -> Parts:
         monkeypatch.setattr(parts, "errors_of", lambda search, fit: {k: errors.get(k, 1e-6) for k in fit.free})
         search.case = SimpleNamespace(
             blocks=1,
@@ -53,7 +54,7 @@ def judged(monkeypatch, linear):
             nominal=OFF,
             recordings={"all": [*range(6)]},
         )
-        search.scale, search.movable, search.library = SCALE, (), []
+        search.scale, search.movable, search.library = SCALE, (), library
         decision = decide(search, 0.0, 0.0, 6)
         added = [(spec(*(handed.fit.value(k) for k in slots_of_row(spec))), slots_of_row(spec)) for spec in effects]
         return parts_of(search, decision, handed, (nominal_of(linear), added))
@@ -77,6 +78,39 @@ def test_numbers_are_reported_under_every_verdict(judged, monkeypatch, flexible,
     assert found.fraction == pytest.approx(1.0)
     assert found.tied == (("drag",) if certainty == "tied" else ())
     assert (found.recording is not None) == (certainty == "likely")
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "error", "certainty"),
+    [
+        # the interval of a signed number reaches zero from 0.51 of its size on; so for a positive one
+        ("stretch_coupling: linear", -0.3, 0.1, "likely"),
+        ("stretch_coupling: linear", -0.3, 0.16, "none"),
+        ("voltage_clip: hard", 1 / 850.0, 0.45, "likely"),
+        ("voltage_clip: hard", 1 / 850.0, 0.55, "none"),
+    ],
+)
+def test_a_likely_part_differs_from_its_absence(judged, monkeypatch, key, value, error, certainty):
+    monkeypatch.setattr(verdict, "reference", lambda case, h, floors: hypothesis((), 0.2).evidence)
+    row = next(r for r in CATALOGUE if r.key == key)
+    (slot,) = slots_of_row(row)
+    found = fitted((row.name,), 0.3, {slot: value})
+    search = searched(found, hypothesis(("drag",), 0.5))
+    search.best = lambda: found
+    (told,) = judged(search, found, [row], {slot: error}, [Form(row.name, row, {slot: value})])
+    assert told.certainty == certainty
+
+
+@pytest.mark.parametrize(("flexible", "certainty"), [(0.2, "none"), (0.28, "likely")])
+def test_changed_coefficients_are_not_likely_if_a_black_box_model_fits_better(judged, monkeypatch, flexible, certainty):
+    """They absorb a part of any effect that is missing; a clip beside the same model is likely."""
+    monkeypatch.setattr(verdict, "reference", lambda case, h, floors: hypothesis((), flexible).evidence)
+    moved = fitted((PARAMETERS,), 0.3, {"a0": 0.7}, labels=("parameter_change",))
+    search = searched(moved, hypothesis(("drag",), 0.301), hypothesis(("a", "b", "c"), 0.1))
+    search.best = lambda: moved
+    monkeypatch.setattr(parts, "needed", lambda h, rival: 0.6)
+    told = judged(search, moved, [], {})
+    assert [(p.effect, p.certainty) for p in told] == [("parameter_change", certainty)]
 
 
 def test_a_likely_part_comes_with_what_to_record(judged, monkeypatch):
@@ -186,6 +220,9 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
         explained
     )
     assert lines(explained)[-1].startswith("Next: predict and invert with model_augmented")
+    shares = {0.0: "not certain", 0.06: "too small to be named as a cause", 0.5: "not certain"}
+    unsure = replace(explained.parts[0], certainty="none")
+    assert {share: certainty(replace(unsure, fraction=share)) for share in shares} == shares
     assert len(repr(explained).splitlines()) <= 10 and "12.3 ms" in explained._repr_html_()
 
 

@@ -100,6 +100,15 @@ def test_rest_beside_a_model_without_the_lag_of_the_plant_is_no_motion(lag, zero
         assert start_of(record(voltage, x + 1e-3), zeros).begins == "rest"
 
 
+@pytest.mark.parametrize("delay", [5, 20])
+def test_rest_beside_a_model_without_the_delay_of_the_plant_is_no_motion(delay):
+    """A pure delay, which no lag of order 1 describes."""
+    for hz in (0.8, 1.7, 3.1):
+        voltage = 800 + 400 * np.sin(2 * np.pi * hz * TIME)
+        x = np.concatenate([np.zeros(delay), motion(voltage)[:-delay]])
+        assert start_of(record(voltage, x), (0.0,)).begins == "rest"
+
+
 def begins(records, input_map="square"):
     return [b.begins for b in find_beginnings(records, input_map)[0]]
 

@@ -25,6 +25,7 @@ from .gap import (
     Gap,
     as_far_as_closed,
     beside_noise,
+    explains_most,
     floor_percent,
     gap_of,
     of_free_runs,
@@ -353,7 +354,7 @@ class _Searched:
         pieces: the pieces of the records that the search used; None: all of them.
         before: the nominal's error in the package's free runs.
         own: the nominal's own error, 0 if unknown; source: its origin.
-        usual: the nominal's error on the records of its identification, in a refit too.
+        usual: the nominal's error on the records of its identification, in a refit too; 0 if it is no measure of noise.
         interrupted: whether the user interrupted the search.
     """
 
@@ -377,6 +378,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     known, source = own_misfit(case)
     misfit, source = (0.0, "not known in a refit") if refit else (known, source)
     own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, known))
+    usual = usual if explains_most([s.output[s.counts] for s in case.series], known) else 0.0
     search = Search(case, refit, exclude, limit, max(own, noise), misfit)
     own, interrupted = 0.0 if refit else own, False
     if not search.given.reaches(own):

@@ -191,6 +191,15 @@ def beside_noise(case: Case, lacking: float, averaged: int) -> float:
     return float(np.sqrt((own * lacking) ** 2 + (own**2 - 1 + 1 / averaged) * noise**2) / own)
 
 
+def explains_most(outputs: Sequence[np.ndarray], own: float) -> bool:
+    """Return whether the nominal's own error leaves less than HALF of the outputs' deviation.
+
+    The error of a model that explains less is no measure of noise.
+    """
+    deviations = [np.std(y) for y in outputs]
+    return own < rules.HALF * float(np.exp(np.mean(np.log(np.maximum(deviations, 1e-300)))))
+
+
 def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
     """Describe the searched pieces of the recordings, and the errors on all other samples, in a sentence."""
     searched = {r.name: np.zeros(r.samples, bool) for r in records}

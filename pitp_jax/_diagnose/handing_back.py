@@ -25,7 +25,7 @@ _DOUBLED = 4  # times at most that the steps a sample of a returned model are do
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """Return the best hypothesis that beats the nominal model out of fold (P >= SURE) and in the package's simulation.
+    """Return the best hypothesis that beats the nominal out of fold (P >= HANDED) and in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.
@@ -34,7 +34,7 @@ def hand_back(
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
-    given, error, alone = search.given.evidence.bare, _error, decision.alone
+    error, alone = _error, decision.alone
     # a set that is not judged may predict better than the judged one
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
@@ -46,7 +46,7 @@ def hand_back(
         tried += [h for h in search.level(1)[:2] if h not in tried]
     tried += [search.base, search.linear]
     for h in tried:
-        if not h.fit.free or SHIFT.name in h.names or probability(h.evidence.bare, given) < rules.SURE:
+        if not h.fit.free or SHIFT.name in h.names or not surely_improves(h, search.given):
             continue
         # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
@@ -61,6 +61,11 @@ def hand_back(
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
             return h, (made, added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
+
+
+def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:
+    """Return whether the 95 % interval of what a hypothesis closes of the given model's error excludes zero."""
+    return probability(h.evidence.bare, given.evidence.bare) >= rules.HANDED
 
 
 def _error(h: Hypothesis) -> float:

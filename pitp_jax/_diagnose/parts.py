@@ -2,8 +2,10 @@
 
     certain   the verdict reports it
     tied      the verdict reports it, with effects that these recordings do not separate from it
-    likely    P >= LIKELY against the best hypothesis without it, and LISTED of the closed energy
-    none      otherwise; also coefficients that are refitted together with every effect
+    likely    P >= LIKELY against the best hypothesis without it, LISTED of the closed energy, and a strength whose
+              interval excludes its value without the part
+    none      otherwise; also coefficients that are refitted together with every effect, and those beside which a
+              black-box model on the unchanged nominal model fits better by 1 - FIRST (P >= SURE)
 
 A parameter's interval is 1.96 standard errors wide on either side. The standard error is the larger of two: from blocks
 of residuals, and from the refits without each fold (a jackknife over recordings):
@@ -25,7 +27,7 @@ from .._model.model import Model
 from .._shown import Shown
 from . import rules
 from .evidence import probability
-from .library import CHANGED, FREE, INDEX, LOGARITHM, ROWS, group, slots_of_row
+from .library import CHANGED, FREE, INDEX, LOGARITHM, ROWS, SHAPE, group, slots_of_row
 from .next_experiment import Experiment, separate
 from .result import errors_of, factor_name, factors_of, in_units, longest_time
 from .search import PARAMETERS, Hypothesis, Search
@@ -116,7 +118,8 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
         form = " and ".join(dict.fromkeys(e.form for e, _ in mine)) or "refitted coefficients"
         told = numbers.of(mine) if mine else numbers.coefficients(_own_slots(search, name))
         found.append(Part(label, form, told, taken[name], decision.probabilities.get(label), "none"))
-    judged = [_judged(search, decision, handed, n, p) for n, p in zip(handed.names, found, strict=True)]
+    changed = [numbers.is_changed(_strengths(search, n)) for n in handed.names]
+    judged = [_judged(search, decision, handed, *one) for one in zip(handed.names, found, changed, strict=True)]
     judged.sort(key=lambda p: -p.fraction)
     # coefficients refitted with every effect close nothing of the refitted model's error
     beside = [(e, slots) for n, e, slots in effects if n not in handed.names]
@@ -135,17 +138,29 @@ def _own_slots(search: Search, name: str) -> list[str]:
     return [k for form in search.library if form.name == name for k in form.start if k in search.movable]
 
 
+def _strengths(search: Search, name: str) -> list[str]:
+    """Return the names of the parameters that switch an effect of the search on, or of the coefficients it changes."""
+    if name == PARAMETERS:
+        return list(search.movable)
+    started = dict.fromkeys(k for form in search.library if form.name == name for k in form.start)
+    return [k for k in started if not SHAPE[INDEX[k]]]
+
+
 def _search_name(slots: Sequence[str]) -> str:
     """Return the search name of the effect with these parameter names."""
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
-def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part) -> Part:
+def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part, changed: bool) -> Part:
     """Return the part with its certainty; for a likely part also the recording that would make it certain."""
     if part.effect in decision.said:
         tied = decision.tied.get(part.effect, ())
         return replace(part, certainty="tied" if tied else "certain", tied=tied)
-    if part.fraction < rules.LISTED or name == FREE:
+    if part.fraction < rules.LISTED or name == FREE or not changed:
+        return part
+    # coefficients change with every effect that is missing
+    flexible = decision.unchanged if name == PARAMETERS else None
+    if flexible is not None and probability(flexible, handed.evidence, rules.FIRST) >= rules.SURE:
         return part
     rival = rival_without(search, handed, {name})
     part = replace(part, probability=needed(handed, rival))
@@ -181,6 +196,21 @@ class _Numbers:
                         row["ci95"] = [min([limit, *(row["ci95"] or [])[:1]]), None]
                     told[f"{p.name} 2" if p.name in told else p.name] = row
         return told
+
+    def is_changed(self, slots: Sequence[str]) -> bool:
+        """Return whether the interval of any of these parameters excludes the nominal model's value."""
+        mine = [k for k in slots if k in self.h.fit.free]
+        return not mine or any(self._excludes_nominal(k) for k in mine)
+
+    def _excludes_nominal(self, slot: str) -> bool:
+        ends, value = self.factors.get(slot), self.h.fit.value(slot)
+        before = float(self.search.case.nominal[INDEX[slot]])
+        if ends is None:
+            return False
+        if LOGARITHM[INDEX[slot]] and before <= 0:  # a logarithm does not reach zero: the same interval on either side
+            return ends[0] > 1 / np.e
+        low, high = sorted(value * f for f in ends)
+        return not low <= before <= high
 
     def coefficients(self, slots: Sequence[str]) -> dict[str, dict]:
         """Return the linear model's refitted coefficients, divided by the given ones, with intervals."""

@@ -497,7 +497,7 @@ class Search:
         for depth in range(1, DEPTH + 1):
             if depth == 1 and not self.budget.allows("sets of 1 effect"):
                 break
-            self.budget.begin(f"sets of {depth}: added to {' and '.join(map(_written, fronts))}")
+            self.budget.begin(f"sets of {depth}: added to {' and '.join(dict.fromkeys(map(_written, fronts)))}")
             self.extend(fronts)
             level = self.level(depth)
             if not level:
@@ -588,11 +588,16 @@ class Search:
         steps: list[Hypothesis] = [self.linear] if self.refit else []
         have: frozenset = frozenset()
         while have != frozenset(chosen.names):
-            nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
-            known = [h for h in nexts if h is not None]
+            keys = [have | {n} for n in chosen.names if n not in have]
+            # otherwise effects that joined together would share their gain equally
+            last = len(have) + 1 == len(chosen.names)
+            if not last and not any(key in self.every for key in keys) and self.budget.allows("effects one by one"):
+                for key in keys:
+                    self._again(chosen, key)
+            known = [self.every[key] for key in keys if key in self.every]
             step = min(known, key=lambda h: h.rms) if known else chosen
             # the last step ends at the chosen set, not at a similar one with other starts
-            step = chosen if len(have) + 1 == len(chosen.names) else step
+            step = chosen if last else step
             steps.append(step)
             have = frozenset(step.names)
         return steps
@@ -612,12 +617,11 @@ def _written(h: Hypothesis) -> str:
 
 
 def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Order fits best first, with the best of each form before a second one of any form."""
-    seen: dict[frozenset, int] = {}
-    turns = [seen.setdefault(frozenset(f.free), n) for n, f in enumerate(fits)]
-    return [
-        f for f, first, n in sorted(zip(fits, turns, range(len(fits)), strict=True), key=lambda t: (t[1] != t[2], t[2]))
-    ]
+    """Order fits best first, with the k-th best of each form before the next one of any form."""
+    turns: list[int] = []
+    for n, f in enumerate(fits):
+        turns.append(sum({*f.free} == {*g.free} for g in fits[:n]))
+    return [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:

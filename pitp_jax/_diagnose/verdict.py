@@ -2,7 +2,7 @@
 
 no_gap     the nominal's error is at most OWN times that on its own records; or it is at most OWN times the sensor's
            noise or USUAL times that on its own records (refitted or not), and neither a set nor the reference is
-           better by 1 - FIRST with P >= SURE
+           likely better by 1 - FIRST (P >= LIKELY)
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
            are tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
 partly     the same, but a flexible model is better by less than 1 - FIRST, or closes more if it is added
@@ -48,6 +48,7 @@ class Decision:
         reason: why no effect is reported, in words.
         rivals: effects that no verdict could separate.
         alone: error of separate linear models of few records.
+        unchanged: the reference added to the base without changed coefficients.
     """
 
     verdict: str
@@ -62,6 +63,7 @@ class Decision:
     reason: str = ""
     rivals: tuple[str, ...] = field(default=())
     alone: Evidence | None = None
+    unchanged: Evidence | None = None
 
 
 def decide(search: Search, own: float, noise: float, distinct: int, usual: float = 0.0) -> Decision:
@@ -84,15 +86,15 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
 
     def answer(verdict, said=(), tied=None, reason="", rivals=(), p=None, fractions=None):
         return Decision(verdict, chosen, tuple(said), tied or {}, p or {}, fractions or {}, bar, above, more, reason,
-                        tuple(rivals), alone)  # fmt: skip
+                        tuple(rivals), alone, bars[0])  # fmt: skip
 
     if search.given.reaches(own):
         return answer("no_gap", reason="The nominal model has no larger error than on its own recordings.")
     if not chosen.names:
-        # near the noise, of any colour, and nothing improves the fit significantly, including the reference
+        # near the noise, of any colour, and nothing is likely to improve the fit, the reference neither
         least = min((bar, *(h.evidence for h in search.every.values())), key=lambda e: e.score)
         near = base.rms <= max(rules.OWN * noise, rules.USUAL * usual)
-        if near and probability(least, base.evidence, rules.FIRST) < rules.SURE:
+        if near and probability(least, base.evidence, rules.FIRST) < rules.LIKELY:
             return answer("no_gap", reason="The remaining error is noise: no model of the input predicts it.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
     taken = closing_fractions(search, chosen)

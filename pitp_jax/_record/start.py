@@ -2,12 +2,12 @@
 
     y = d (x_k(t - lag) + A c) + z + e      k: rest | held (settled at u(0)) | moving;    A: free responses of the modes
     e ~ N(0, s^2 I + a^2 C_1 + eta^2 m m' o C_2)       C_1 = exp(-omega |t - t'|),    C_2 = exp(-(omega (t - t'))^2 / 2)
-    m(t) = range min(1, omega t)^2:  the model's error has neither value nor velocity at t = 0, whatever is wrong in it
+    m(t) = motion until t + 2 / omega, times min(1, omega t)^2: a model's error has neither value nor velocity at t = 0
     z ~ N(z_0, tau^2): half of all recordings have a known offset, the others any;    c ~ N(0, span^2), 0 unless moving
 
 The first period of motion decides between rest, settled and moving. Later a free initial state also explains the error
 of a wrong model (a lag that it does not have made a start from rest a moving one). Offset and direction come from four
-periods. The scales a and eta, the lag, c, z and d are nuisance parameters.
+periods. The scales a and eta, the lag, c, z and d are nuisance parameters. Starts in motion are the exception.
 """
 
 from collections.abc import Sequence
@@ -29,6 +29,7 @@ _AHEAD = 1.0  # blocks of a period, and at most; fewest samples that decide
 _ERRORS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # eta: relative errors of a model, equally probable
 _COLOURED = np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1])  # a: slow noise of the sensor, of the span
 _LAGS = (0.0, 0.3, 1.0)  # rad of the dominant mode, by which the plant may follow the model
+_MOVING = 0.1  # probability of a start in motion in proportion to one at rest, and to a settled one
 _REVERSED = 0.01  # probability that a sensor is reversed, if the model's direction is known
 _SAME = 0.002  # of the span: least error of a known offset
 _GROWN = 5.0  # log of the largest growth of an unstable mode
@@ -125,6 +126,7 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     period = 2 * np.pi / (response.omega * part.dt)
     first = first_known(part) + int(max(min(_first_moved(part), (_PERIODS - 1) * period) + period + 1, _FEWEST))
     evidence = [logsumexp([f.evidence for f in _fits(part, response, k, first, _LAGS)]) for k in kinds]
+    evidence[0] += np.log(_MOVING)
     kind = kinds[int(np.argmax(evidence))]
     certainty = float(np.exp(max(evidence) - logsumexp(evidence)))
     # A lag may be half a period, which reverses a motion. So it has no part in the direction.
@@ -156,7 +158,8 @@ def _fits(part: Record, response: Response, kind: Begins, samples: int, lags: Se
     modes, runs = np.split(means[:, 3:], [free.shape[1]], axis=1)
     noise = max(noise_std(part.displacement) / np.sqrt(size), _FINEST * span)
     apart = omega * np.abs(time[:, None] - time)
-    ahead = np.arange(len(output)) + int(1 / (omega * size * part.dt))
+    # a force moves the plant within a third of a period
+    ahead = np.arange(len(output)) + int(2 / (omega * size * part.dt))
     far = np.maximum.accumulate(np.maximum(np.abs(output - output[0]), np.abs(runs[:, 0] - run[0])))
     motion = growth * np.minimum(far[np.minimum(ahead, len(far) - 1)], _FAR * span)
     model = np.outer(motion, motion) * np.exp(-0.5 * apart**2)

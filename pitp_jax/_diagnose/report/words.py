@@ -2,6 +2,7 @@
 
 from ..._model.units import units_of
 from ..._report.numbers import interval, of_range, percent
+from .. import rules
 from .formatting import named, parameter_between, plain_words
 
 
@@ -81,4 +82,6 @@ def certainty(part) -> str:
         return f"tied: these recordings do not separate it from {named(part.tied)}"
     if part.certainty == "likely":
         return f"likely; to make it certain, record {part.recording}"
-    return "certain" if part.certainty == "certain" else "not certain"
+    if part.certainty == "certain":
+        return "certain"
+    return "too small to be named as a cause" if 0 < part.fraction < rules.LISTED else "not certain"
