@@ -275,7 +275,7 @@ def test_a_long_record_is_seen_to_its_end(nominal):
 def test_what_a_session_has_stretched_stays_stretched(nominal):
     """Mullins: the second record begins where the first one went; the model carries it, and so does what judges it."""
     softened = replace(nominal, effects=(lookup("mullins", "exponential")(0.3, 0.5),))
-    records = play(nominal, noise=0.0)[:2]
+    records = play(softened, noise=0.0)[:2]
     case = build_case(nominal, records)
     slots = case.nominal.copy()
     slots[PLACES[lookup("mullins", "exponential")]] = 0.3, 0.5

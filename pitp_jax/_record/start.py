@@ -14,8 +14,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 from scipy.linalg import cho_factor, cho_solve
-from scipy.signal import lfilter
 from scipy.special import logsumexp
 
 from .._numerics.coloured_noise import block_means
@@ -189,7 +189,7 @@ def _free(poles: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _lagged(run: np.ndarray, step: float, lag: float) -> np.ndarray:
     """Return a run behind a lag of order 1; step and lag in rad of the dominant mode."""
     pole = np.exp(-step / lag) if lag else 0.0
-    return run[0] + np.asarray(lfilter([1 - pole], [1, -pole], run - run[0]))
+    return run[0] + np.asarray(scipy.signal.lfilter([1 - pole], [1, -pole], run - run[0]))
 
 
 def _log_prior(response: Response, known: float | None, direction: float) -> float:
