@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.clocks import put_back
+from pitp_jax._diagnose.clocks import Fault
 
 TIME = np.arange(500) / 100.0
 
@@ -18,7 +18,7 @@ def test_an_output_that_was_early_is_put_back(early):
     """Also by parts of a sample: the motion itself, and the voltage as it was; a missing sample stays missing."""
     seen = motion(TIME + early)
     seen[100] = np.nan
-    (found,) = put_back([pitp.Record("r", TIME, np.cos(TIME), seen)], early)
+    (found,) = Fault(early).corrected([pitp.Record("r", TIME, np.cos(TIME), seen)])
     there = np.isfinite(found.displacement)
     np.testing.assert_allclose(found.displacement[there], motion(found.time)[there], atol=2e-8)
     np.testing.assert_allclose(found.voltage, np.cos(found.time))

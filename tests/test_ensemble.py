@@ -80,8 +80,10 @@ def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble)
     for level in (0.5, 0.95):
         bands = predict_band(ensemble, plant[2], level=level)
         for band, x, r in zip(bands, runs(ensemble, plant[2]), plant[2], strict=True):
-            left = [(a.mean(0) - b.displacement) / np.ptp(b.displacement) for a, b in
-                    zip(runs(ensemble, plant[1]), plant[1], strict=True)]  # fmt: skip
+            counts = [p.scored for p in predict(ensemble.models[0], plant[1])]
+            left = [(a.mean(0) - b.displacement)[c] / np.ptp(b.displacement) for a, b, c in
+                    zip(runs(ensemble, plant[1]), plant[1], counts, strict=True)]  # fmt: skip
+            left = [np.quantile(np.abs(e), np.linspace(0, 1, 2001)) for e in left]  # recordings count alike
             scaled = student.ppf(0.5 + level / 2, len(left)) / normal.ppf(0.5 + level / 2)
             floor = np.quantile(np.abs(left), level) * scaled * np.ptp(r.displacement)
             width = np.hypot(student.ppf(0.5 + level / 2, 2) * np.sqrt(4 / 3) * x.std(0, ddof=1), floor)
@@ -89,14 +91,14 @@ def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble)
             np.testing.assert_allclose(band.displacement, x.mean(0), rtol=0, atol=1e-5 * span)
             # the quantiles of the errors are kept every half percent
             np.testing.assert_allclose(band.half_width, width, rtol=5e-3, atol=1e-4 * span)
-            assert band.name == r.name and band.scored.all()
+            assert band.name == r.name and (band.scored == predict(ensemble.models[0], [r])[0].scored).all()
             assert x.std(0, ddof=1).max() > 1e-4 * span  # there is a spread to speak of
 
 
 def test_the_error_is_the_means_on_the_training_records(plant, ensemble):
     left = [
-        np.mean((x.mean(0) - r.displacement) ** 2) / np.ptp(r.displacement) ** 2
-        for x, r in zip(runs(ensemble, plant[1]), plant[1], strict=True)
+        np.mean((x.mean(0) - r.displacement)[p.scored] ** 2) / np.ptp(r.displacement) ** 2
+        for x, r, p in zip(runs(ensemble, plant[1]), plant[1], predict(ensemble.models[0], plant[1]), strict=True)
     ]
     assert ensemble.error == pytest.approx(np.sqrt(np.mean(left)), rel=1e-3)
 

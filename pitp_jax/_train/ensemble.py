@@ -35,7 +35,7 @@ from .._record.sets import check_set
 from .._shown import Shown
 from .._simulate import ports
 from .._simulate.decoder import rollout
-from .._simulate.prediction import FAR, at_rate, starts
+from .._simulate.prediction import FAR, at_rate, begin
 from .training import train
 
 _LEVELS = 201  # quantiles of the errors, every half percent
@@ -168,17 +168,18 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     quantile = float(scipy.stats.t.ppf(0.5 + level / 2, len(models) - 1))
     bands = []
     for r in records:
-        begin, spent = zip(*[starts(m, [r]) for m in models], strict=True)
-        states = _run(stack, jnp.asarray(r.voltage, begin[0].dtype), r.dt, jnp.concatenate(begin))
-        model = models[0]
+        first, spent, begun = zip(*[begin(m, [r]) for m in models], strict=True)
+        states = _run(stack, jnp.asarray(r.voltage, first[0].dtype), r.dt, jnp.concatenate(first))
         x = np.asarray(states, np.float64)
         # the band ends where a member diverges, because a mean over fewer members would jump
         lost = np.logical_or.accumulate(~(np.isfinite(x) & (np.abs(x) < FAR)).all(0))
-        x = np.where(lost, np.nan, x) * model.scales.state[0]
+        # each member's own offset and direction of this record, as in its own prediction
+        turned, zeros = (np.array([[getattr(b, n)] for (b,) in begun]) for n in ("direction", "zero"))
+        x = turned * np.where(lost, np.nan, x) * models[0].scales.state[0] + zeros
         spread = quantile * np.sqrt(1 + 1 / len(x)) * x.std(0, ddof=1)  # 1 / K: the mean itself is uncertain
         half = np.hypot(spread, ensemble.floor(level) * r.span)
         scored = np.arange(r.samples) >= spent[0][0]
-        bands.append(Band(r.name, model.output.to_rig(x.mean(0)), half, bool(lost.any()), scored))
+        bands.append(Band(r.name, x.mean(0), half, bool(lost.any()), scored))
     return tuple(bands)
 
 
