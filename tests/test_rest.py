@@ -36,7 +36,7 @@ POLES = OMEGA * (-0.1 + 1j * np.sqrt(0.99) * np.array([1, -1]))
 
 
 def start_of(r, zeros=()):
-    """How a record starts beside the equation itself."""
+    """Return the estimated start of a record, with the equation itself as the model."""
     part = first_part(r, OMEGA)
     level = part.voltage[0] ** 2
     system, t = ([1e-9], [1 / OMEGA**2, 0.2 / OMEGA, 1]), np.arange(part.samples) * part.dt
@@ -46,6 +46,17 @@ def start_of(r, zeros=()):
 
 SINE = 1000 * (1 - np.cos(2 * np.pi * 3 * TIME))
 HIGH = 1200 + 700 * np.cos(2 * np.pi * 4 * TIME)  # 1.9 kV at the first sample
+
+
+@pytest.mark.parametrize("omega", [1e-3, 0.1, 1.0])
+def test_a_record_may_be_short_beside_the_period_of_the_model(omega):
+    """Less than one sixteenth of a period: 0 V for half a second, then a ramp that an integrator follows."""
+    ramp = np.clip(TIME[:1000] - 0.5, 0, None)
+    run = 1e-3 * np.cumsum(ramp) * DT
+    found = estimate_start(
+        first_part(Record("r", TIME[:1000], ramp, 2e-3 + run), omega), Response(run, run, np.array([-omega]), omega)
+    )
+    assert (found.begins, found.direction) == ("rest", 1.0) and found.zero == pytest.approx(2e-3, abs=1e-9)
 
 
 @pytest.mark.parametrize("sigma", [1e-9, 3e-6, 0.4])
@@ -92,7 +103,7 @@ def test_a_moving_start_is_found_with_its_first_reading(cut, direction):
 @pytest.mark.parametrize("lag", [0.05, 0.1, 0.2])
 @pytest.mark.parametrize("zeros", [(), (1e-3,)], ids=["own offset", "known offset"])
 def test_rest_beside_a_model_without_the_lag_of_the_plant_is_no_motion(lag, zeros):
-    """The later response of a plant behind a lag is a free motion of the model, but its first samples stand still."""
+    """Later, a free motion of the model fits a plant behind a lag; the first samples stand still."""
     plant = np.polymul([1 / OMEGA**2, 0.2 / OMEGA, 1], [2 * np.pi * lag / OMEGA, 1])
     for hz in (0.8, 1.7, 3.1):
         voltage = 800 + 400 * np.sin(2 * np.pi * hz * TIME)

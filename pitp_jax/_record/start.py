@@ -24,8 +24,7 @@ from .record import Record
 
 _PERIODS, _LEAST, _MOST = 4.0, 64, 16_384  # periods of the dominant mode; samples: fewest, and most
 _MOVED = 20.0  # noise levels that the output must leave its first reading by
-_PER_PERIOD, _BLOCKS, _FEWEST = 16, 160, 12
-_AHEAD = 1.0  # blocks of a period, and at most; fewest samples that decide
+_PER_PERIOD, _BLOCKS, _FEWEST = 16, 160, 12  # blocks of a period, and at most; fewest samples that decide
 _ERRORS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # eta: relative errors of a model, equally probable
 _COLOURED = np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1])  # a: slow noise of the sensor, of the span
 _LAGS = (0.0, 0.3, 1.0)  # rad of the dominant mode, by which the plant may follow the model
@@ -38,7 +37,7 @@ _FINEST, _FAR = 1e-4, 10.0  # of the span: least noise; largest error of a model
 
 @dataclass(frozen=True)
 class Response:
-    """What a model predicts for the first part of a recording.
+    """The response of a model to the input of the first part of a recording.
 
     Attributes:
         rest: displacement from rest, output unit, shape (T,).
@@ -143,7 +142,8 @@ def _fits(part: Record, response: Response, kind: Begins, samples: int, lags: Se
     """Return the evidence of every sensor direction and offset prior for one kind of start, from the first samples."""
     y, seen, omega = part.displacement[:samples], part.observed[:samples], response.omega
     span = float(np.ptp(part.displacement[part.observed])) or 1.0
-    size = int(max(2 * np.pi / omega / part.dt / _PER_PERIOD, len(y) / _BLOCKS, 1))
+    # a record may be shorter than a block of a slow mode
+    size = int(max(min(2 * np.pi / omega / part.dt / _PER_PERIOD, len(y) / _FEWEST), len(y) / _BLOCKS, 1))
     time = part.dt * np.arange(len(y))
     free = span * _free(response.poles, time) if kind == "moving" else np.empty((len(y), 0))
     run = (response.rest if kind == "rest" or not np.isfinite(response.held).all() else response.held)[: len(y)]
