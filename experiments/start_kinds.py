@@ -1,4 +1,4 @@
-"""How recordings start, estimated: rest, settled or moving, sensor offset and direction, of simulated recordings.
+"""Count wrong estimates of how simulated recordings start: rest, settled or moving, sensor offset, direction.
 
     x'' / w^2 + 2 zeta x' / w + x = F(u),  exact between samples;   measured = direction * x + offset + noise
     effects that the model lacks:  electrode   T F' + F = u^2,  T = 0.03 to 0.5 periods
@@ -138,7 +138,7 @@ def one_set(rng: np.random.Generator, effect: str) -> tuple[list[pitp.Record], l
 
 
 def beside_the_equation(records: list[pitp.Record], about: dict):
-    """How records start, estimated beside the equation without the effect; nothing else is known."""
+    """Estimate the start of every record with the equation without the effect as the model."""
     hz, zeta, square, *_ = about["plant"]
     w = 2 * np.pi * hz
     logs = np.log([2 * zeta * w, w * w])
@@ -152,7 +152,7 @@ def beside_the_equation(records: list[pitp.Record], about: dict):
 
 
 def main(smoke: bool = False, argv=None):
-    """Draw, estimate, count."""
+    """Simulate the sets, estimate every start, and print the counts."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--sets", type=int, default=50, help="of four recordings")
     parser.add_argument("--seed", type=int, default=0)

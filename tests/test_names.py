@@ -7,7 +7,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pitp_jax._diagnose import verdict
+from pitp_jax._diagnose import handing_back, verdict
 from pitp_jax._diagnose.budget import Budget
 from pitp_jax._diagnose.evidence import evidence, probability
 from pitp_jax._diagnose.fit import Fit, at
@@ -29,6 +29,7 @@ from pitp_jax._diagnose.library import (
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search, _varied
 from pitp_jax._diagnose.verdict import closing_fractions, decide, separable
 from pitp_jax._effects import CATALOGUE, lookup
+from pitp_jax._record.record import Record
 
 SCALE = Scale(
     tau=0.02, dt=1e-3, duration=10.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=1.0, acceleration=1.0,
@@ -111,7 +112,7 @@ def test_a_memory_starts_with_the_stiffness_and_the_mass_of_the_set_below_it():
 
 
 def test_starts_of_all_forms_take_turns():
-    """Of two forms the second start of the worse one is tried before the third of the better one."""
+    """The second start of the worse form is tried before the third start of the better form."""
     forms_of = [("a0", "a1"), ("a0", "a1"), ("a2",), ("a0", "a1"), ("a2",), ("a1", "a0")]
     fits = [Fit((), free, OFF.copy(), np.zeros((1, 2))) for free in forms_of]
     assert [next(n for n, g in enumerate(fits) if g is f) for f in _varied(fits)] == [0, 2, 1, 4, 3, 5]
@@ -434,10 +435,28 @@ def test_poles_that_no_sample_shows_are_moved_to_where_a_rollout_follows_them(be
 
 @pytest.mark.parametrize(("worse", "better"), [(1, True), (2, False)])
 def test_a_model_is_handed_back_if_the_interval_of_what_it_closes_excludes_zero(worse, better):
-    """Of six recordings one or two get worse by a factor of 1.7, the others better by half."""
+    """One or two of six recordings get 1.7 times as bad; the others lose half of their error."""
     given = hypothesis((), 1.0)
     rows = [(1.7 if k < worse else 0.5) * r for k, r in enumerate(given.residuals)]
     h = replace(given, residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
     p = probability(h.evidence, given.evidence)
     assert (p > 0.975) if better else (0.9 < p < 0.975)
     assert surely_improves(h, given) == better
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(("worse", "handed"), [(1, ("drag", "parameters")), (2, ())])
+def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypatch, linear, worse, handed):
+    """The same recordings, from the verdict to the model."""
+    model, given = linear(2), hypothesis((), 1.0)
+    rows = [(1.7 if k < worse else 0.5) * r for k, r in enumerate(given.residuals)]
+    search = searched(
+        replace(hypothesis(("drag",), 0.5), residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
+    )
+    search.case = cast(Any, SimpleNamespace(**vars(search.case), nominal=OFF))
+    for name, value in (("model_of", (model, [])), ("stable", (model, 0.5)), ("is_bounded", True)):
+        monkeypatch.setattr(handing_back, name, lambda *_, value=value, **__: value)
+    time = np.arange(64) * 1e-3
+    records = [Record("sine", time, 100 * np.sin(time), np.sin(time))]
+    decision = replace(decide(search, 0.0, 0.0, 6), alone=None)
+    assert handing_back.hand_back(search, decision, model, records, 1.0)[2] == handed

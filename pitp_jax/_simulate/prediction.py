@@ -173,16 +173,6 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
     ]
 
 
-def starts(
-    model: Model, records: Sequence[Record], aged: bool | None = None
-) -> tuple[Float[Array, "records state"], tuple[int, ...]]:
-    """Return the initial states of all records, and the number of samples used to estimate each (0: at rest or held).
-
-    `aged`: whether their times are one session's (default: if no two overlap); otherwise their age is unknown.
-    """
-    return begin(model, records, aged)[:2]
-
-
 def begin(
     model: Model, records: Sequence[Record], aged: bool | None = None
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
