@@ -27,7 +27,7 @@ from pitp_jax._diagnose.library import (
     names_of,
 )
 from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search, _varied
-from pitp_jax._diagnose.verdict import closing_fractions, decide, separable
+from pitp_jax._diagnose.verdict import decide, separable
 from pitp_jax._effects import CATALOGUE, lookup
 from pitp_jax._record.record import Record
 
@@ -218,17 +218,6 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     assert searched(hypothesis(("backlash",), 0.303, numbers=4), hypothesis(("delay",), 0.30)).best().names == (
         "delay",
     )
-
-
-def test_effects_that_joined_together_are_fitted_one_by_one_for_their_fractions(monkeypatch):
-    """A mass that changes nothing had half of the gain of the force beside it."""
-    both = hypothesis(("added_mass", "term"), 0.1, labels=("added_mass", "term"))
-    search = searched(both)
-    search.budget = Budget()
-    single = {"added_mass": hypothesis(("added_mass",), 0.99), "term": hypothesis(("term",), 0.101)}
-    monkeypatch.setattr(search, "_again", lambda h, key: search.every.__setitem__(key, single[next(iter(key))]))
-    fractions = closing_fractions(search, both)
-    assert fractions["added_mass"] < 0.01 < 0.99 < fractions["term"]
 
 
 def test_steps_are_kept_for_judging_what_was_fitted():

@@ -16,21 +16,21 @@ from pitp_jax._model.domain import Domain
 from pitp_jax._model.model import Output, Scales
 from pitp_jax._model.sections import sections_of
 from pitp_jax._record.record import Record
-from pitp_jax._simulate import decoder, prediction
+from pitp_jax._simulate import decoder
 from pitp_jax._simulate.batched_rollout import fast_rollout
 from pitp_jax._simulate.decoder import rest_state, rollout_batch
 from pitp_jax._train.parameters import parameters
 
 FILES, DT = Path(__file__).parent / "files", 2e-3
 TIME = DT * np.arange(600)
-# displacement of every 75th sample under the voltage of `held_out`, as predicted by the commit that wrote the files
+# displacement of every 75th sample from rest under the voltage of `held_out`, as simulated by commit cb44ab2
 WRITTEN = {
-    "identified": (2.9145989659251127e-04, 6.717065693542925e-05, -4.1437968070699905e-04, 3.596010711891149e-04,
-                   2.0527806430475877e-04, -5.157800724716198e-04, 3.676015843896438e-04, 2.4827992156018066e-04),
-    "trained": (3.045109289174299e-04, 7.892450057666832e-05, -3.407087208058376e-04, 3.6144416079217e-04,
-                1.4106052463810394e-04, -4.606502760283845e-04, 3.2935504763271367e-04, 2.1393107892064367e-04),
-    "effects": (3.0163242407143116e-04, 2.3416075408458706e-04, -4.634976978326111e-04, 3.040110172703862e-04,
-                2.4949682429432863e-04, -5.014928102493287e-04, 3.0244110217317934e-04, 2.6889700926840303e-04),
+    "identified": (0.0, 2.3060677421940664e-04, 7.179310915840678e-04, -5.984553523655555e-05,
+                   9.363565064217281e-05, 8.162137000272587e-04, -6.732482916843469e-05, 5.1531016605421606e-05),
+    "trained": (0.0, 2.551018606210229e-04, 6.507332907860102e-04, -2.5191591031333578e-05,
+                1.3980056841445104e-04, 7.631105992399404e-04, 3.07579587536702e-05, 6.992026610401111e-05),
+    "effects": (0.0, 6.849631667137146e-05, 7.662865519523621e-04, -4.985305946320295e-06,
+                4.949455335736275e-05, 8.019519448280335e-04, -2.061669947579503e-06, 3.0885441228747366e-05),
 }  # fmt: skip
 
 
@@ -146,13 +146,12 @@ def test_scales_and_output_are_exact_numbers_and_not_trained(nonlinear):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", WRITTEN)
-def test_files_written_before_load_and_predict_the_same(name, tmp_path, monkeypatch):
-    """As they did when a start in motion was read from 50 samples (now from 1.5 periods of the model)."""
-    monkeypatch.setattr(prediction, "initial_samples", lambda model, record: 50)
+def test_files_written_before_load_and_simulate_the_same(name, tmp_path):
+    """From rest, because the estimate of a start in motion has changed since."""
     path = FILES / f"{name}_508a6f1.model"
     model = pitp.load(path)
-    (found,) = pitp.predict(model, [held_out(model)])
-    np.testing.assert_allclose(found.displacement[::75], WRITTEN[name], rtol=0, atol=2e-9)
+    found = pitp.rollout(model, held_out(model).voltage, DT, begins="rest")
+    np.testing.assert_allclose(found[::75], WRITTEN[name], rtol=0, atol=2e-9)
     pitp.save(tmp_path / "again", model)
     again = pitp.load(tmp_path / "again")
     assert again.domain == model.domain and again.scales == model.scales and again.output == model.output

@@ -588,16 +588,11 @@ class Search:
         steps: list[Hypothesis] = [self.linear] if self.refit else []
         have: frozenset = frozenset()
         while have != frozenset(chosen.names):
-            keys = [have | {n} for n in chosen.names if n not in have]
-            # otherwise effects that joined together would share their gain equally
-            last = len(have) + 1 == len(chosen.names)
-            if not last and not any(key in self.every for key in keys) and self.budget.allows("effects one by one"):
-                for key in keys:
-                    self._again(chosen, key)
-            known = [self.every[key] for key in keys if key in self.every]
+            nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
+            known = [h for h in nexts if h is not None]
             step = min(known, key=lambda h: h.rms) if known else chosen
             # the last step ends at the chosen set, not at a similar one with other starts
-            step = chosen if last else step
+            step = chosen if len(have) + 1 == len(chosen.names) else step
             steps.append(step)
             have = frozenset(step.names)
         return steps
