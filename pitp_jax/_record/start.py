@@ -129,7 +129,10 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     kind = kinds[int(np.argmax(evidence))]
     certainty = float(np.exp(max(evidence) - logsumexp(evidence)))
     # A lag may be half a period, which reverses a motion. So it has no part in the direction.
-    best = max(_fits(part, response, kind, part.samples, (0.0,)), key=lambda f: f.evidence)
+    fits = _fits(part, response, kind, part.samples, (0.0,))
+    # four periods of a motion do not separate an own offset from memories (creep) that were charged before
+    known = [f for f in fits if not f.own] if kind == "moving" else []
+    best = max(known or fits, key=lambda f: f.evidence)
     zero, stderr = best.zero, best.stderr
     if kind == "rest" and best.own:
         # the first samples alone contain no error of the model; a misfit shifts their level by 1 to 2 standard errors
