@@ -233,12 +233,27 @@ def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leav
     assert begun.begins == ("held" if held else "rest")
 
 
-def test_the_certainty_of_two_equal_starts_is_a_half():
-    """Rest and a settled start leave the same; a sine from rest leaves no doubt."""
+def test_two_starts_with_one_response_are_one():
+    """A hold whose equilibrium is rest leaves no doubt; neither does a sine from rest."""
     part = first_part(record(HIGH, motion(HIGH)), OMEGA)
     run = motion(HIGH)[: part.samples]
-    assert estimate_start(part, Response(run, run, POLES, OMEGA)).certainty == pytest.approx(0.5, abs=0.02)
+    found = estimate_start(part, Response(run, run, POLES, OMEGA))
+    assert found.begins == "rest" and found.certainty > 0.99
     assert start_of(record(SINE, motion(SINE))).certainty > 0.99
+
+
+@pytest.mark.parametrize("direction", [1, -1])
+@pytest.mark.parametrize("lead", [0.5, 2.0])
+def test_a_weak_model_without_mass_reverses_no_sensor(lead, direction):
+    """Half of the motion, without its inertia: a response that begins too soon is smoother when it is subtracted."""
+    drive = np.concatenate([np.zeros(round(lead / DT)), 1000 + 500 * np.cos(2 * np.pi * TIME)])
+    times, omega = np.arange(len(drive)) * DT, OMEGA
+    x = lsim(([1e-9], [1 / OMEGA**2, 1.2 / OMEGA, 1]), drive**2, times)[1]
+    y = direction * x + NOISE * np.random.default_rng(3).standard_normal(len(x))
+    part = first_part(Record("r", times, drive, y), omega)
+    run = lsim(([0.5e-9], [1 / omega, 1]), part.voltage**2, np.arange(part.samples) * DT)[1]
+    found = estimate_start(part, Response(run, run, np.array([-omega]), omega, (0.0,), direction=1.0))
+    assert (found.begins, found.direction) == ("rest", direction)
 
 
 @pytest.mark.parametrize("ahead", [0, 3000, 9000])

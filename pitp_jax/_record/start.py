@@ -68,7 +68,7 @@ def first_part(record: Record, omega: float, span: float | None = None) -> Recor
         span: range of the inputs that the model was made with, V; the recording's own if unknown.
     """
     lost = first_known(record)
-    length = int(np.clip(_PERIODS * 2 * np.pi / (omega * record.dt), _LEAST, _MOST // 2))
+    length = _length(record, omega)
     size = min(lost + length, record.samples)
     while True:
         part = _samples(record, np.arange(size))
@@ -81,6 +81,11 @@ def first_part(record: Record, omega: float, span: float | None = None) -> Recor
     if stands > 2 * length:
         kept = kept[(kept < length) | (kept >= stands - length // 2)]
     return _samples(record, kept)
+
+
+def _length(record: Record, omega: float) -> int:
+    """Return how many samples of the motion are used."""
+    return int(np.clip(_PERIODS * 2 * np.pi / (omega * record.dt), _LEAST, _MOST // 2))
 
 
 def _first_moved(record: Record) -> int:
@@ -119,17 +124,17 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     kinds: list[Begins] = ["moving"]
     if first_known(part) == 0:
         kinds.append("rest")
-        # held at 0 V is rest
-        if standing_drive(part)[1] != 0 and np.isfinite(response.held).all():
+        if standing_drive(part)[1] != 0 and _settled_differs(part, response):
             kinds.append("held")
     period = 2 * np.pi / (response.omega * part.dt)
-    first = first_known(part) + int(max(min(_first_moved(part), (_PERIODS - 1) * period) + period + 1, _FEWEST))
+    begun = max(_first_moved(part), part.samples - _length(part, response.omega))
+    first = int(max(begun + period + 1, _FEWEST))
     evidence = [logsumexp([f.evidence for f in _fits(part, response, k, first, _LAGS)]) for k in kinds]
     evidence[0] += np.log(_MOVING)
     kind = kinds[int(np.argmax(evidence))]
     certainty = float(np.exp(max(evidence) - logsumexp(evidence)))
-    # A lag may be half a period, which reverses a motion. So it has no part in the direction.
-    fits = _fits(part, response, kind, part.samples, (0.0,))
+    # A long lag may be half a period, which reverses a motion. So it has no part in the direction.
+    fits = _fits(part, response, kind, part.samples, _LAGS[:2])
     # four periods of a motion do not separate an own offset from memories (creep) that were charged before
     known = [f for f in fits if not f.own] if kind == "moving" else []
     best = max(known or fits, key=lambda f: f.evidence)
@@ -139,6 +144,12 @@ def estimate_start(part: Record, response: Response) -> Beginning:
         zero, stderr = rest_level(part)
         stderr *= 1.5
     return Beginning(kind, best.direction, zero, stderr, certainty=certainty, level=best.level)
+
+
+def _settled_differs(part: Record, response: Response) -> bool:
+    """Return whether u(0) has an equilibrium whose response differs from that from rest by more than the noise."""
+    least = max(noise_std(part.displacement), _FINEST * float(np.ptp(part.displacement[part.observed])))
+    return bool(np.isfinite(response.held).all() and np.abs(response.held - response.rest).max() > least)
 
 
 def _fits(part: Record, response: Response, kind: Begins, samples: int, lags: Sequence[float]) -> list[_Fit]:
