@@ -17,6 +17,7 @@ import numpy as np
 import scipy
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import logsumexp
+from threadpoolctl import threadpool_limits
 
 from .._numerics.coloured_noise import block_means
 from .initial_state import Beginning, Begins, first_known, noise_std, rest_level, standing_drive
@@ -114,6 +115,7 @@ class _Fit:
     level: float
 
 
+@threadpool_limits.wrap(limits=1, user_api="blas")  # at 160 blocks two threads take four times the CPU time of one
 def estimate_start(part: Record, response: Response) -> Beginning:
     """Return the most probable start of a recording, with sensor offset, its standard error, and sensor direction.
 
