@@ -14,6 +14,7 @@ from packaging.version import Version
 os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".pytest_cache" / "programs"))
 os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2**31))  # with a limit, processes lock the folder
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # the suite's processes share the cores already
 _RESIDENT_MB, _MAPPINGS = 1_150, 20_000  # of a process, beyond which its programs are dropped
 
 # Two runs of the suite draw the same examples; HYPOTHESIS_DRAWS=fresh looks for new ones.

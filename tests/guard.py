@@ -14,13 +14,18 @@ import sys
 import tarfile
 import tempfile
 from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from typed import some
 
 import pitp_jax as pitp
+from pitp_jax._effects import CATALOGUE
+from pitp_jax._effects.spec import EffectSpec
 from pitp_jax._model_file.parts import REMOVED
 
 FOLDER = Path(__file__).parent / "files" / "guard"
@@ -64,9 +69,23 @@ def free_run(folder: Path, name: str) -> np.ndarray:
     """Displacement of a stored model from rest, 20 s into its session, in float64 as its file is."""
     time, voltage = drive(name)
     with jax.enable_x64(True):
-        return pitp.rollout(
-            pitp.load(folder / f"{name}.pitp"), voltage, time[1], begins="rest", zero="sensor", start_time=20.0
-        )
+        model = among_all(pitp.load(folder / f"{name}.pitp").model)
+        return pitp.rollout(model, voltage, time[1], begins="rest", zero="sensor", start_time=20.0)
+
+
+@cache
+def forms() -> tuple[EffectSpec, ...]:
+    """The forms that a stored linear model of second order holds alone."""
+    return tuple(form for form in CATALOGUE if form.key.replace(": ", "_").replace(" ", "_") in names())
+
+
+def among_all(model: pitp.Model) -> pitp.Model:
+    """A model of one form with every other form beside it, neutral: one compiled program runs them all."""
+    if len(model.effects) != 1 or model.effects[0].spec not in forms():
+        return model
+    (own,) = model.effects
+    neutral = {form: form(*map(jnp.float64, form.off)) for form in forms()}
+    return replace(model, effects=tuple((neutral | {own.spec: own}).values()))
 
 
 def ensemble_band(folder: Path) -> np.ndarray:

@@ -7,6 +7,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from played import FEW
 
 import pitp_jax as pitp
 from pitp_jax._effects import effect
@@ -48,7 +49,7 @@ def main(place):
         replace(r, displacement=p.displacement + NOISE * rng.standard_normal(SAMPLES))
         for r, p in zip(measured, moved, strict=True)
     ]
-    found = pitp.diagnose(nominal, real)
+    found = pitp.diagnose(nominal, real, exclude=FEW)
     predicted = pitp.predict(model, [record])[0].displacement
 
     def rig(states):

@@ -93,9 +93,15 @@ def float32_bound(w_dt, hold, reach):
     return max(1e-4, 20 * eps / w_dt, eps / w_dt**2 if hold == "foh" else 0.0) * max(1.0, reach)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("input_map", [SquareInput, LinearInput])
+@pytest.mark.parametrize(
+    ("precision", "input_map"),
+    [
+        pytest.param("float64", SquareInput, marks=pytest.mark.slow),
+        pytest.param("float64", LinearInput, marks=pytest.mark.slow),
+        pytest.param("float32", SquareInput, marks=pytest.mark.slow),
+        pytest.param("float32", LinearInput, marks=pytest.mark.exhaustive),  # its force is the voltage: no root to lose
+    ],
+)
 @pytest.mark.parametrize("hold", ["zoh", "foh"])
 @pytest.mark.parametrize(("order", "frugal"), [(1, False), (2, False), (3, False), (4, False), (2, True)])
 def test_recovers_the_force_of_every_step(nonlinear, double, order, frugal, hold, input_map, precision):

@@ -46,7 +46,7 @@ def sine(hz, top, seconds=6.0):
 def test_names_of_files_decide_nothing(nominal):
     """Four sines of one frequency, an end stop beyond 0.15 strokes: the same figures under other names."""
     stop: dict[str, Any] = {"force": lambda x, v: -4.0 * max(x - 0.15, 0.0)}
-    drives = [sine(3.0, top) for top in (500.0, 800.0, 1100.0, 1500.0)]
+    drives = [sine(3.0, top, 3.0) for top in (500.0, 800.0, 1100.0, 1500.0)]
     told = []
     for names in ("abcd", "bdac"):
         found = pitp.diagnose(

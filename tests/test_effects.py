@@ -158,8 +158,13 @@ def planned(case, form):
     return model, x, pitp.feedforward(model, pitp.Target(TIME, x))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("form", [f for f in CATALOGUE if f.key not in HARD], ids=lambda f: f.key)
+def of_each_name(forms):
+    """The forms, those behind the first of their effect for the exhaustive tests."""
+    first = {f.name: f for f in reversed(forms)}.values()
+    return [pytest.param(f, marks=pytest.mark.slow if f in first else pytest.mark.exhaustive, id=f.key) for f in forms]
+
+
+@pytest.mark.parametrize("form", of_each_name([f for f in CATALOGUE if f.key not in HARD]))
 def test_feedforward_undoes_it(case, form):
     """The model with the effect follows a smooth target to 0.5 %."""
     assert planned(case, form)[2].self_check_e_rms_percent < 0.5

@@ -8,7 +8,7 @@ import pitp_jax as pitp
 from pitp_jax._errors import BadInput
 
 RUNS = guard.stored("runs")
-QUICK = ("fading_memory", "coulomb_friction_bristles")
+QUICK = ("fading_memory", "spring_and_electrode")
 NAMES = [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in RUNS]
 
 
@@ -42,8 +42,12 @@ def test_stored_models_run_as_they_did(folder, name):
     np.testing.assert_allclose(x, RUNS[name], rtol=0, atol=1e-6 * np.ptp(RUNS[name]))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", guard.SWEEPS)
+# Training and inversion of the roll and coefficients of the other cones are compared already.
+AGAIN = ("cone100",)
+ACTUATORS = [pytest.param(n, marks=pytest.mark.exhaustive if n in AGAIN else pytest.mark.slow) for n in guard.SWEEPS]
+
+
+@pytest.mark.parametrize("name", ACTUATORS)
 def test_actuators_are_identified_trained_and_inverted_as_they_were(name):
     """Training ends where its last bits send it: a thousandth of range is far below what a changed method moves."""
     was, now = guard.stored("figures")[name], guard.figures_of(name)
@@ -53,10 +57,12 @@ def test_actuators_are_identified_trained_and_inverted_as_they_were(name):
 
 
 NOISY = ("gap after", "gap noise_floor")
+# `test_diagnose` plants the same, against the whole catalogue.
+PLANTED = ("nothing", "hum", "spring", "electrode", "clip", "friction", "spring and electrode")
+CASES = [pytest.param(c, marks=pytest.mark.exhaustive if c in PLANTED else pytest.mark.slow) for c in guard.DIAGNOSED]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("case", guard.DIAGNOSED)
+@pytest.mark.parametrize("case", CASES)
 def test_diagnoses_say_what_they_said(folder, case):
     was, now = guard.stored("verdicts")[case], guard.verdict(folder, case)
     for key in ("verdict", "effects", "equivalent"):
