@@ -17,6 +17,7 @@ holds the errors on the excitations left out and the choice.
 import argparse
 import json
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -50,7 +51,7 @@ def recordings(row: str, options) -> tuple[list, list]:
     if row == "silverbox":
         read = {r.name: r for r in pitp.read(str(options.data / "data" / "silverbox"))}
         return [read["multisine_train"]], [read["arrow_full_test"]]
-    sines = pitp.excitation.protocol(kind(row), "train")
+    sines = pitp.excitation.protocol(kind(row), "train")[:: 8 if options.smoke else 1]
     half = len(sines) // 2
     records = list(measure(pitp.plant(row), sines))  # ordered by frequency, then by amplitude
     return records[:half], records[half:]
@@ -142,7 +143,10 @@ def main(argv=None):
     parser.add_argument("--every", type=int, default=1, help="take every so many samples of a HASEL")
     parser.add_argument("--left-out", action="store_true", help="score training recordings by models of the others")
     parser.add_argument("--out", type=Path, default=HERE, help="folder of the results")
+    parser.add_argument("--smoke", action="store_true", help="quick and meaningless")
     options = parser.parse_args(argv)
+    if options.smoke:
+        options.rows, options.models, options.out = ["cone100"], ["identified"], Path(tempfile.mkdtemp())
     file = options.out / f"beyond_the_recordings{'_left_out' if options.left_out else ''}.json"
     done = json.loads(file.read_text()) if file.is_file() else {}
     cells = [

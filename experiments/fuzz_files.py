@@ -434,7 +434,10 @@ def main() -> int:
     parser.add_argument("--models", type=int, default=1_000, help="model files")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--resume", type=Path, metavar="FILE", help="of the batches done: they are not run again")
+    parser.add_argument("--smoke", action="store_true", help="quick and meaningless")
     options = parser.parse_args()
+    if options.smoke:
+        options.count, options.models = 20, 5
     with tempfile.TemporaryDirectory() as folder:
         _models(Path(folder, "models"))
         counts = {"record": options.count, "model": options.models}

@@ -240,7 +240,10 @@ def main() -> None:
     parser.add_argument("--nonlinear", type=int, default=0, help="draws a seed")
     parser.add_argument("--results", type=Path, help="one JSON line a draw; a run resumes from it")
     parser.add_argument("--table", action="store_true", help="only print what --results holds")
+    parser.add_argument("--smoke", action="store_true", help="quick and meaningless")
     options = parser.parse_args()
+    if options.smoke:
+        options.seeds, options.linear, options.nonlinear = [1], 1, 0
     lines = options.results.read_text().splitlines() if options.results and options.results.exists() else []
     done = {tuple(row["cell"]): row for row in map(json.loads, lines)}
     cells = [(name, seed, k) for seed in options.seeds for name, count in

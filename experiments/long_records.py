@@ -13,6 +13,7 @@ import resource
 import time
 
 import numpy as np
+from _smoke import all_but
 
 import pitp_jax as pitp
 from pitp_jax._diagnose import budget, pieces
@@ -83,14 +84,18 @@ def main() -> None:
     options.add_argument("--only", default=",".join(PLANTS))
     options.add_argument("--everything", action="store_true", help="search all samples")
     options.add_argument("--samples", type=int, default=SAMPLES)
+    options.add_argument("--smoke", action="store_true", help="quick and meaningless")
     given = options.parse_args()
+    if given.smoke:
+        given.only, given.samples, pieces.RUN_STEPS = "lag", 12_000, 3_000
     if given.everything:
         pieces.RUN_STEPS = budget.SEARCH_STEPS = 10**15
     for name in given.only.split(","):
-        nominal = pitp.identify(recordings(name, "", 20_000, 1), order=2, input_map="linear").model
+        healthy = recordings(name, "", min(20_000, given.samples), 1)
+        nominal = pitp.identify(healthy, order=2, input_map="linear").model
         records = recordings(name, name, given.samples, 2)
         began = time.process_time()
-        found = pitp.diagnose(nominal, records)
+        found = pitp.diagnose(nominal, records, exclude=all_but("electrode_rc", "delay") if given.smoke else [])
         cpu, memory = time.process_time() - began, resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         before, after = error(nominal, records), error(found.model, records)
         print(

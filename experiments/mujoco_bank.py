@@ -15,6 +15,7 @@ Needs `pip install mujoco`.
 
 import argparse
 import json
+import tempfile
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -225,6 +226,7 @@ def main(argv=None) -> None:
     parser.add_argument("--smoke", action="store_true", help="one case of 2 s records: quick and meaningless")
     args = parser.parse_args(argv)
     drawn = cases(args.seed)
+    args.out = Path(tempfile.mkdtemp()) / args.out.name if args.smoke else args.out
     rows = {r["case"]: r for r in map(json.loads, args.out.read_text().splitlines())} if args.out.exists() else {}
     for name in args.cases or (["none"] if args.smoke else drawn):
         if name not in rows:

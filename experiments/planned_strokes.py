@@ -86,7 +86,8 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("--seed", type=int, default=0, help="of the first actuator")
     parser.add_argument("--smoke", action="store_true", default=smoke)
     options = parser.parse_args([] if smoke and argv is None else argv)
-    cells = [one(options.seed + k, 40.0) for k in range(1 if options.smoke else options.actuators)]
+    count, duration = (1, 24.0) if options.smoke else (options.actuators, 40.0)
+    cells = [one(options.seed + k, duration) for k in range(count)]
     rows = []
     for seed, (hz, zeta, hard, limit, first, second, near) in enumerate(cells):
         said = [f"{c['harmless allowed']} of {c['harmless']}" for c in (first, second)]

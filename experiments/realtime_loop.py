@@ -11,7 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory, TemporaryFile
+from tempfile import TemporaryDirectory, TemporaryFile, gettempdir
 
 import jax
 import jax.numpy as jnp
@@ -30,9 +30,12 @@ def main(smoke: bool = False, argv=()):
     parser.add_argument("--model", type=Path, help="model file of a cone100 (default: identified here, linear)")
     parser.add_argument("--hz", type=float, default=2.0, help="of the target")
     parser.add_argument("--out", type=Path, default=HERE / "figures", help="folder of the figure")
+    parser.add_argument("--smoke", action="store_true", help="quick and meaningless")
     options = parser.parse_args(list(argv))
+    if smoke or options.smoke:
+        options.out = Path(gettempdir()) / "pitp_smoke"
     actuator = pitp.plant("cone100")
-    dt, seconds = 1 / actuator.rate_hz, 1.0 if smoke else 10.0
+    dt, seconds = 1 / actuator.rate_hz, 1.0 if smoke or options.smoke else 10.0
     model = pitp.load(options.model) if options.model else identified(actuator)
     time = np.arange(round(seconds / dt)) * dt
     target = wanted(options.hz, time)

@@ -20,7 +20,7 @@ import numpy as np
 import optax
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import run
+from pitp_jax._demo.protocol import excitations, measure, run
 from pitp_jax._simulate.decoder import rollout_batch
 
 
@@ -98,14 +98,16 @@ def main(smoke: bool = False, argv=None):
     parser.add_argument("--smoke", action="store_true")
     options = parser.parse_args([] if smoke else argv)
     smoke = smoke or options.smoke
-    models = {p.name: pitp.load(p) for p in options.models} or {"virtual cone100": virtual()}
+    models = {p.name: pitp.load(p) for p in options.models} or {"virtual cone100": virtual(smoke)}
     for name, model in models.items():
         count = (60, 4, 600, 10) if smoke else (options.random, options.ascent, 4000, 60)
         check(name, model, *count)
 
 
-def virtual():
-    """A quick model of the built-in cone."""
+def virtual(smoke: bool):
+    """A quick model of the built-in cone, in smoke a linear one."""
+    if smoke:
+        return pitp.identify(list(measure(pitp.plant("cone100"), excitations("cone100", "sweep", True)))).model
     return run("cone100", quick=True).training.model
 
 

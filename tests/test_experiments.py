@@ -1,13 +1,16 @@
-"""Scripts of the paper's tables and figures leave their table and figure; all others start, the cheap ones run."""
+"""Scripts of the paper's tables and figures leave their table and figure; all others start, the short ones run."""
 
 import importlib
 import re
 import runpy
+import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 from exported import COMPILERS
+
+from pitp_jax._diagnose import pieces
 
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 SCRIPTS = {
@@ -52,7 +55,13 @@ def test_the_cheapest_script_runs_in_smoke(cache, tmp_path, monkeypatch, capsys)
 
 
 OTHERS = sorted({path.stem for path in EXPERIMENTS.glob("[a-z]*.py")} - set(SCRIPTS))
-CHEAP = ("another_day", "closed_loop", "coverage", "start_kinds")  # 4 to 11 s of CPU each
+SHORT = (  # 2 to 11 s of CPU each
+    "another_day", "beyond_the_recordings", "closed_loop", "coverage", "expected_errors", "fuzz_files", "hasel_gap",
+    "identify_bank", "learned_delay", "planned_strokes", "planted_differences", "realtime_loop", "so101_prediction",
+    "start_kinds", "worst_case",
+)  # fmt: skip
+LONG = [name for name in OTHERS if name not in SHORT]  # they train or diagnose
+SMOKES = [pytest.param(n, marks=pytest.mark.slow if n in SHORT else pytest.mark.exhaustive) for n in OTHERS]
 
 
 def start(name, option, monkeypatch):
@@ -63,8 +72,8 @@ def start(name, option, monkeypatch):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", OTHERS)
-def test_every_other_script_starts(name, monkeypatch, capsys):
+@pytest.mark.parametrize("name", LONG)
+def test_every_long_script_starts(name, monkeypatch, capsys):
     """Its imports are there and its options are declared."""
     if name in ("mjcf_bank", "mujoco_bank"):
         pytest.importorskip("mujoco")
@@ -73,13 +82,24 @@ def test_every_other_script_starts(name, monkeypatch, capsys):
     assert ended.value.code == 0 and "usage:" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", CHEAP)
-def test_the_cheap_ones_run_in_smoke(name, monkeypatch, capsys):
-    if name == "closed_loop" and not COMPILERS:
+@pytest.mark.parametrize("name", SMOKES)
+def test_every_other_script_runs_in_smoke(name, monkeypatch, capsys):
+    """Or says which recordings are absent."""
+    if name in ("closed_loop", "realtime_loop") and not COMPILERS:
         pytest.skip("no C compiler")
-    start(name, "--smoke", monkeypatch)
-    assert len(capsys.readouterr().out.splitlines()) > 1
+    if name in ("mjcf_bank", "mujoco_bank"):
+        pytest.importorskip("mujoco")
+    monkeypatch.setattr(pieces, "RUN_STEPS", pieces.RUN_STEPS)  # `long_records` sets it
+    if name == "fuzz_files":  # its processes load the main module again
+        command = [sys.executable, "-m", f"experiments.{name}", "--smoke"]
+        printed = subprocess.run(command, cwd=EXPERIMENTS.parent, capture_output=True, text=True, check=True).stdout
+    else:
+        start(name, "--smoke", monkeypatch)
+        printed = capsys.readouterr().out
+    first = printed.strip().splitlines()[0]
+    if "skipped" in first:
+        pytest.skip(first)
+    assert re.search(r"\d", printed)  # a figure
 
 
 def test_the_papers_tables_as_transcribed(monkeypatch):

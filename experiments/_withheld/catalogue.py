@@ -4,7 +4,6 @@ name -> forms; a case draws one form, its constants and a gap, then searches the
 """
 
 from . import electrical, mechanical, other
-from .found import FOUND
 from .outside import OUTSIDE
 
 _HOMES = {
@@ -16,7 +15,7 @@ _HOMES = {
             "sensor_nonlinearity", "parameter_change"),
 }  # fmt: skip
 INSIDE = {name: getattr(home, name.upper()) for home, names in _HOMES.items() for name in names}
-FORMS = INSIDE | OUTSIDE | FOUND
+FORMS = INSIDE | OUTSIDE
 PAIRS = (
     ("stiffening", "coulomb_friction"),
     ("creep", "voltage_clip"),

@@ -1,7 +1,7 @@
 """What a withheld effect may do to the plant, port by port; nothing of `pitp_jax._effects` is read here.
 
     V = drive(u),  F = coupling(V^2, x)
-    x'' = limit((F + push - x - 2 zeta x' - force(x, x', s, t) - beside(F, x, x')) / inertia)
+    x'' = limit((F + push - x - 2 zeta x' - force(x, x', s, t)) / inertia)
     s' = rates(u, x, x', s),   y = sensor(x, s) + p add,   s(0) = 0
 
 Films begin uncharged, branches relaxed, bristles straight. Dimensionless: x in X = U^2 / a_0, the static displacement
@@ -64,7 +64,7 @@ class Form:
         states: how many states s it brings.
         stiff: Runge-Kutta steps per 1/w0, where the form needs more than the plant.
         delay: (p, c) to a delay of the drive in 1/w0, rounded to whole Runge-Kutta steps; None: no delay.
-        drive, coupling, force, beside, inertia, limit, rates, sensor: the ports of the equation above.
+        drive, coupling, force, inertia, limit, rates, sensor: the ports of the equation above.
     """
 
     name: str
@@ -77,7 +77,6 @@ class Form:
     drive: Callable = lambda p, c, u, s: u
     coupling: Callable = lambda p, c, force, x: force
     force: Callable = lambda p, c, x, v, s, t: 0.0
-    beside: Callable = lambda p, c, force, x, v: 0.0
     inertia: Callable = lambda p, c: 1.0
     limit: Callable = lambda p, c, a: a
     rates: Callable = lambda p, c, u, x, v, s: ()

@@ -59,10 +59,9 @@ def rate(forms, ps, cs, zeta, y, u, push, t):
     force, mass = film**2, 1.0
     for f, p, c, _ in parts:
         force = f.coupling(p, c, force, x)
-    film = force
     force = force + push - x - 2.0 * zeta * v
     for f, p, c, s in parts:
-        force, mass = force - f.force(p, c, x, v, s, t) - f.beside(p, c, film, x, v), mass * f.inertia(p, c)
+        force, mass = force - f.force(p, c, x, v, s, t), mass * f.inertia(p, c)
     a = force / mass
     for f, p, c, _ in parts:
         a = f.limit(p, c, a)

@@ -1,0 +1,8 @@
+"""What the quick tests of the scripts (`--smoke`) share."""
+
+from pitp_jax._effects import CATALOGUE
+
+
+def all_but(*names: str) -> list[str]:
+    """Return the names of all effects but these, which a quick diagnosis excludes."""
+    return sorted({form.name for form in CATALOGUE} - set(names))
