@@ -34,10 +34,13 @@ def drives():
     return {k: 600 + 350 * v for k, v in (found | {"steps": steps}).items()}
 
 
-def play(model, noise=NOISE, extra=0.0, seed=0, louder=()):
-    """Records of a model, one after the other on the session's clock; `louder`: drives at 1.5 times the voltage."""
+def play(model, noise=NOISE, extra=0.0, seed=0, louder=(), inputs=None):
+    """Records of a model, one after the other on the session's clock.
+
+    `louder`: drives at 1.5 times the voltage; `inputs`: other ones, V by name.
+    """
     rng, found = np.random.default_rng(seed), []
-    for k, (name, u) in enumerate(drives().items()):
+    for k, (name, u) in enumerate((inputs or drives()).items()):
         u = 1.5 * u if name in louder else u
         states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
         x = np.asarray(ports.readings(model, states), float) * model.scales.state[0]

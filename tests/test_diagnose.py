@@ -7,7 +7,7 @@ from functools import partial
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import DT, FEW, nominal_of, play
+from played import DT, FEW, TIME, nominal_of, play
 from scipy.signal import lsim
 from typed import some
 
@@ -313,3 +313,17 @@ def test_what_has_not_moved_is_told_as_the_nominals(nominal):
     assert found.effects == ("parameter_change",)
     assert found.shift[1] == 1.0
     np.testing.assert_allclose(found.shift[[0, 2]], [1.3, 1.2], rtol=0.01)
+
+
+@pytest.mark.slow
+def test_a_clip_that_one_pulse_shows_is_named(nominal):
+    """Four sines below the clip and a pulse above it: parts of the pulse predict each other."""
+    inputs = {f"sine{hz}": 400 * (1 - np.cos(2 * np.pi * hz * TIME)) for hz in (0.5, 1.1, 2.2, 3.6)}
+    inputs["pulse"] = 1100 * np.clip(TIME - 1.5, 0, 0.02) / 0.02 * np.clip(4.5 - TIME, 0, 0.02) / 0.02
+    planted = replace(nominal, effects=(effect("voltage_clip", "hard", 1 / 850.0),))
+    others = [*FEW, "creep", "drag", "second_mode", "voltage_offset"]
+    found = pitp.diagnose(nominal, play(planted, inputs=inputs), exclude=others)
+    assert found.effects == ("voltage_clip",) and found.handed_back == ("voltage_clip",)
+    (level,) = found.added[0].parameters.values()
+    assert 1 / level["value"] == pytest.approx(850.0, rel=0.01)
+    assert any("parts of each were left out" in note for note in found.notes)

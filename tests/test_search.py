@@ -5,8 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from played import nominal_of, play
 
+from pitp_jax._diagnose import diagnosis
 from pitp_jax._diagnose.budget import Budget
+from pitp_jax._diagnose.data import build_case
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
 from pitp_jax._diagnose.search import Hypothesis, Search
@@ -75,3 +78,68 @@ def test_the_best_four_go_to_their_optimum_whatever_their_first_steps_gain():
     search._climb({frozenset([n]): [fit_of(n)] for n in "615243"})
     assert sorted(to_the_end) == list("1234")
     assert set(search.waiting) == {frozenset(n) for n in "1234"}
+
+
+def compared(*improved: int, names: str = "abcde", blocks: int = 1) -> Any:
+    """A search over records of these names, in which one set has a third of the base's error on some of them."""
+    search, size = bare_search(), len(names)
+
+    def scored(fit, *helped: int) -> Hypothesis:
+        rows = [np.full(SAMPLES, 0.3 if k in helped else 1.0) for k in range(size)]
+        return Hypothesis(fit, fit.names, rows, evidence(rows, np.zeros(size)))
+
+    search.base, search.own = scored(fit_of()), 0.0
+    search.case = SimpleNamespace(blocks=blocks, recordings=dict.fromkeys(names))
+    search.every = {frozenset(): search.base, frozenset(["clip"]): scored(fit_of("clip"), *improved)}
+    return search
+
+
+def test_a_set_that_improves_one_of_many_records_is_judged_on_parts():
+    """Every third draw of five records lacks the fifth, so nothing that it alone shows can be certain."""
+    assert compared(4).single() == 4
+    assert compared(4).best().names == () and compared(0, 1, 2, 3, 4).best().names == ("clip",)
+    assert compared(3, 4).single() is None and compared().single() is None and compared(0, 1, 2, 3, 4).single() is None
+    # parts of fewer than four recordings are left out already
+    assert compared(1, names="abc").single() is None and compared(4, blocks=4).single() is None
+
+
+@pytest.fixture(scope="module")
+def recorded(linear):
+    """A nominal and five of its records."""
+    nominal = nominal_of(linear)
+    return nominal, play(nominal)[:5]
+
+
+def test_parts_that_are_left_out_cover_every_record_once(recorded):
+    case = build_case(*recorded)
+    parts = case.in_parts()
+    assert case.blocks == 1 and parts.blocks == len(parts.folds) == 4
+    tested = np.array([[m.sum() for m in parts.tested(fold)] for fold in range(4)])
+    np.testing.assert_array_equal(tested.sum(0), [s.counts.sum() for s in case.series])
+    assert np.all(np.abs(tested - tested.mean(0)) < 1)
+    for fold in range(4):  # and a fit without them does not use them
+        masks = zip(parts.masks(fold), parts.tested(fold), strict=True)
+        assert all(not np.any((mask > 0) & left_out) for mask, left_out in masks)
+
+
+@pytest.mark.parametrize("accepted", [("clip",), ()])
+def test_a_search_on_parts_counts_only_if_it_accepts_a_set(recorded, monkeypatch, accepted):
+    """Otherwise the search that leaves out whole recordings is judged, as before."""
+
+    class Found(Search):
+        def __init__(self, case, *_):
+            self.case = case
+            self.given: Any = SimpleNamespace(reaches=lambda own: False)
+
+        def run(self):
+            pass
+
+        def single(self):
+            return 3 if self.case.blocks == 1 else None
+
+        def best(self) -> Any:
+            return SimpleNamespace(names=accepted if self.case.blocks == 4 else ())
+
+    monkeypatch.setattr(diagnosis, "Search", Found)
+    found = diagnosis._searched(recorded[0], recorded[1], False, (), Budget(), ())
+    assert (found.search.case.blocks, list(found.showing)) == ((4, [3]) if accepted else (1, [0, 1, 2, 3, 4]))

@@ -70,8 +70,8 @@ class Case:
         nominal: slots of the nominal, shape (slots,).
         starts: (x, v) at the first samples, shape (records, 2).
         thinned: samples of a record per thinned sample.
-        folds: records left out together; with fewer than four records, blocks of records, so that there are at least
-            four.
+        folds: records left out together; with fewer than four records (or one that shows the gap), blocks of records,
+            so that there are at least four.
     """
 
     model: Model
@@ -90,7 +90,7 @@ class Case:
     @property
     def blocks(self) -> int:
         """Return the number of blocks that each record is cut into for cross-validation; 1: it is left out whole."""
-        return _parts(len(self.series))
+        return sum(0 in fold for fold in self.folds)
 
     def masks(self, fold: int | None) -> list[np.ndarray]:
         """Return weights 0 or 1 of the samples that a fit without this fold uses; None: all valid samples."""
@@ -119,6 +119,10 @@ class Case:
         series = tuple(self.series[k] for k in places)
         simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
         return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
+
+    def in_parts(self) -> "Case":
+        """Return the case with folds that leave out a quarter of every record, as of a single one."""
+        return replace(self, folds=(tuple(range(len(self.series))),) * FEWEST_FOLDS)
 
     def screened(self) -> list[np.ndarray]:
         """Return weights 0 or 1 of the samples for the first steps of a fit: `_ENOUGH` of the largest motions."""

@@ -65,8 +65,8 @@ _REFITTED = (
     "--refit-nominal)"
 )
 _IN_PARTS = (
-    "With fewer than four recordings, parts of each were left out in turn, so every fit had used other parts of the "
-    "same recording"
+    "With fewer than four recordings that show the gap, parts of each were left out in turn, so every fit had used "
+    "other parts of the same recording"
 )
 
 
@@ -82,7 +82,7 @@ class Diagnosis:
         budget, gap, ranking, where, next_experiment: see docs/contract.md.
         probability: per effect, P that the best set without it has a larger error.
         fitted, heldout: record names; every record is predicted by a fit without it (with fewer than four records,
-            every part by a fit without that part).
+            or one that shows the effect, every part by a fit without that part).
         folds: records left out together, or in parts.
         shift: in a refit, the refitted coefficients over the given ones, shape (n + 1,).
         traces: every record with the outputs of the nominal and the returned model.
@@ -227,7 +227,7 @@ def diagnose(
     notes = (*fault.remarks(records[0].dt), *notes)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
-    noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case)
+    noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case.alone(found.showing))
     limit.begin("comparing the best set")
     decision, (handed, made, names_back) = _checked(
         search, decide(search, own, noise, distinct, found.usual), model, records, before
@@ -274,7 +274,7 @@ def diagnose(
     notes = (
         *notes,
         *([_REFITTED] if automatic else []),
-        *([_IN_PARTS] if 1 < len(names) < FEWEST_FOLDS else []),
+        *([_IN_PARTS] if len(names) > 1 and (len(names) < FEWEST_FOLDS or case.blocks > 1) else []),
         *([] if pieces is None else [on_pieces(pieces, records, traces)]),
         *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
         *limit.notes(),
@@ -352,6 +352,7 @@ class _Searched:
 
     Attributes:
         pieces: the pieces of the records that the search used; None: all of them.
+        showing: the searched records that show the gap.
         before: the nominal's error in the package's free runs.
         own: the nominal's own error, 0 if unknown; source: its origin.
         usual: the nominal's error on the records of its identification, in a refit too; 0 if it is no measure of noise.
@@ -360,6 +361,7 @@ class _Searched:
 
     search: Search
     pieces: tuple[Piece, ...] | None
+    showing: Sequence[int]
     before: float
     own: float
     usual: float
@@ -379,15 +381,21 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     misfit, source = (0.0, "not known in a refit") if refit else (known, source)
     own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, known))
     usual = usual if explains_most([s.output[s.counts] for s in case.series], known) else 0.0
-    search = Search(case, refit, exclude, limit, max(own, noise), misfit)
+    search, showing = Search(case, refit, exclude, limit, max(own, noise), misfit), range(len(case.series))
     own, interrupted = 0.0 if refit else own, False
     if not search.given.reaches(own):
         try:
             search.run()
+            if (only := search.single()) is not None:
+                limit.most += limit.lane_steps
+                in_parts = Search(case.in_parts(), refit, exclude, limit, max(own, noise), misfit)
+                in_parts.run()
+                if in_parts.best().names:
+                    search, showing = in_parts, [only]
         except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
             interrupted = True
             limit.stop("the rest of the search (interrupted)")
-    return _Searched(search, pieces, before, own, usual, source, interrupted)
+    return _Searched(search, pieces, showing, before, own, usual, source, interrupted)
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:

@@ -4,8 +4,8 @@
     P       fraction of draws in which S_a + log q < S_b: records are drawn first, then blocks within, the same for all
 
 Pooled squares would be dominated by one large record. Drawing blocks alone gave P = 0.99 to second effects that only
-one record shows. With fewer than four records, the parts that a fold leaves out are drawn instead: of two records,
-every fourth draw would contain only one.
+one record shows. With fewer than four records (or one that alone shows an effect), the parts that a fold leaves out are
+drawn instead: of two records, every fourth draw would contain only one.
 """
 
 from collections.abc import Iterator, Sequence
@@ -49,8 +49,12 @@ class Evidence:
     @property
     def score(self) -> float:
         """Return the score S: the logarithm of the mean squared error, averaged over records by their samples."""
-        weight = np.bincount(self.records, self.sizes, self.floor.size)
-        return float(np.sum(weight * np.log(self.mse)) / weight.sum())
+        return float(self.per_record.sum() / self.sizes.sum())
+
+    @property
+    def per_record(self) -> np.ndarray:
+        """Return the terms n log MSE of the score, shape (records,)."""
+        return np.bincount(self.records, self.sizes, self.floor.size) * np.log(self.mse)
 
     @property
     def bare(self) -> "Evidence":

@@ -443,13 +443,13 @@ class Search:
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
-        """Cross-validate a separate linear model for each recording; None unless there are two or three.
+        """Cross-validate a separate linear model for each recording; None if at least four are left out as a whole.
 
         Leaving out parts of recordings cannot show whether all recordings come from one machine: parameters fitted to
         two loads at once describe neither, and predict a third load worse than the nominal does.
         """
         recordings = self.case.recordings
-        if not 1 < len(recordings) < FEWEST_FOLDS:
+        if len(recordings) == 1 or (len(recordings) >= FEWEST_FOLDS and self.case.blocks == 1):
             return None
         rows: list[np.ndarray] = [np.zeros(0)] * len(self.case.series)
         for places in recordings.values():
@@ -564,6 +564,20 @@ class Search:
             if probability(h.evidence, best.evidence, ratio) >= rules.SURE:
                 best = h
         return best
+
+    def single(self) -> int | None:
+        """Return the record that alone shows an effect which no draw of records makes certain; None if there is none.
+
+            N = (sum_r |d_r|)^2 / sum_r d_r^2 < 2,   d_r = n_r log(MSE_r / MSE_r of the smallest set of all)
+
+        A draw of n records lacks one of them with (1 - 1/n)^n > 1 - SURE, so what only one shows is never certain.
+        """
+        least = min(self.every.values(), key=lambda h: h.rms)
+        whole = self.case.blocks == 1 and len(self.case.recordings) >= FEWEST_FOLDS
+        if not whole or self.best().names or least.rms > rules.FIRST * self.base.rms:
+            return None
+        gains = self.base.evidence.bare.per_record - least.evidence.bare.per_record
+        return int(np.argmax(gains)) if np.sum(np.abs(gains)) ** 2 < 2 * np.sum(gains**2) else None
 
     def _fewest_numbers(self, level: list[Hypothesis]) -> Hypothesis:
         """Return the best of equally large sets, or an equally good one with fewer or only linear parameters."""
