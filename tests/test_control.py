@@ -288,7 +288,8 @@ def loops():
         yield importlib.import_module("_trained_loops")
 
 
-@pytest.mark.parametrize("place", [pytest.param(1, marks=pytest.mark.slow), 6])
+@pytest.mark.slow
+@pytest.mark.parametrize("place", [1, 6])
 def test_the_default_of_a_trained_model_holds_changed_plants(loops, tmp_path, place):
     """Compiled C on plants with stiffness and gain 20 % off: under 2 % five time constants after a load step."""
     kind = loops.KINDS[place]

@@ -359,6 +359,7 @@ def test_bursts_after_standstill_train_where_the_equation_error_diverges(plant):
     assert max(e.trained for e in found.errors) < 0.2 * min(e.nominal for e in found.errors)
 
 
+@pytest.mark.slow
 def test_training_that_fails_hands_back_the_nominal(plant):
     """An encoder driven wild by its learning rate: what comes back runs as the nominal does, and says so."""
     nominal, records, _ = plant
