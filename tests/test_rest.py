@@ -256,6 +256,18 @@ def test_a_weak_model_without_mass_reverses_no_sensor(lead, direction):
     assert (found.begins, found.direction) == ("rest", direction)
 
 
+@pytest.mark.parametrize("gain", [0.3, 1.0])
+def test_a_model_without_the_resonance_that_is_driven_reverses_no_sensor(gain):
+    """The motion is nearly a quarter of a period behind the response, but does not oppose it."""
+    drive, omega = np.concatenate([np.zeros(300), 700 * (1 - np.cos(OMEGA * TIME))]), 0.5 * OMEGA
+    times = np.arange(len(drive)) * DT
+    x = lsim(([1e-9], [1 / OMEGA**2, 0.4 / OMEGA, 1]), drive**2, times)[1]
+    part = first_part(Record("r", times, drive, x + NOISE * np.random.default_rng(3).standard_normal(len(x))), omega)
+    run = lsim(([gain * 1e-9], [1 / omega, 1]), part.voltage**2, np.arange(part.samples) * DT)[1]
+    found = estimate_start(part, Response(run, run, np.array([-omega]), omega, (0.0,), direction=1.0))
+    assert (found.begins, found.direction) == ("rest", 1.0)
+
+
 @pytest.mark.parametrize("ahead", [0, 3000, 9000])
 @pytest.mark.parametrize("direction", [1, -1])
 def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):

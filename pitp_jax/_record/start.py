@@ -137,6 +137,8 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     certainty = float(np.exp(max(evidence) - logsumexp(evidence)))
     # A long lag may be half a period, which reverses a motion. So it has no part in the direction.
     fits = _fits(part, response, kind, part.samples, _LAGS[:2])
+    if response.direction and not _opposes(part, response):
+        fits = [f for f in fits if f.direction == response.direction]
     # four periods of a motion do not separate an own offset from memories (creep) that were charged before
     known = [f for f in fits if not f.own] if kind == "moving" else []
     best = max(known or fits, key=lambda f: f.evidence)
@@ -146,6 +148,13 @@ def estimate_start(part: Record, response: Response) -> Beginning:
         zero, stderr = rest_level(part)
         stderr *= 1.5
     return Beginning(kind, best.direction, zero, stderr, certainty=certainty, level=best.level)
+
+
+def _opposes(part: Record, response: Response) -> bool:
+    """Return whether the motion and the response of the model, in its usual direction, correlate negatively."""
+    seen = part.observed & np.isfinite(response.rest)
+    y, run = part.displacement[seen], response.rest[seen]
+    return bool(response.direction * ((y - y.mean()) @ (run - run.mean())) < 0)
 
 
 def _settled_differs(part: Record, response: Response) -> bool:
