@@ -5,6 +5,8 @@ import optimistix
 import pytest
 from scipy.signal import lsim
 
+import pitp_jax as pitp
+from pitp_jax._demo.protocol import kind, measure
 from pitp_jax._identify.frequency_fit import fit_response
 from pitp_jax._identify.frequency_response import frequency_response
 from pitp_jax._identify.identification import identify
@@ -82,3 +84,12 @@ def test_the_identified_coefficients_come_from_it(monkeypatch):
     other = identify([swept(0.01)], order=2, input_map="linear", hold="foh", leave_out=("delay",)).chosen
     assert calls
     assert np.abs(other.coefficients[:3] / honest.coefficients[:3] - 1).max() > 0.05
+
+
+@pytest.mark.slow
+def test_sines_far_below_a_third_pole_start_it_nowhere():
+    """The lower half of a cone's protocol: the fit in frequency moves the pole to infinity, the one in time decides."""
+    sines = pitp.excitation.protocol(kind("cone100"), "train")
+    low = list(measure(pitp.plant("cone100"), sines[: len(sines) // 2]))
+    fit = identify(low, order=3)
+    assert fit.model.order == 3 and np.isfinite(fit.chosen.coefficients).all()

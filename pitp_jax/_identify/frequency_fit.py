@@ -45,7 +45,10 @@ def fit_response(
     result = {}
     for (order, delayed), row in zip(shapes, fits, strict=True):
         logs = _logs(row, order, unit)
-        if np.isfinite(row).all():
+        with np.errstate(over="ignore"):
+            exists = np.isfinite(row).all() and np.isfinite(np.exp(2 * logs)).all()
+        # sines far below a pole move it to infinity
+        if exists:
             result[order, delayed] = np.append(logs, [row[-1] - np.log(unit)] * delayed)
     return result
 

@@ -129,8 +129,7 @@ def estimate_start(part: Record, response: Response) -> Beginning:
         if standing_drive(part)[1] != 0 and _settled_differs(part, response):
             kinds.append("held")
     period = 2 * np.pi / (response.omega * part.dt)
-    begun = max(_first_moved(part), part.samples - _length(part, response.omega))
-    first = int(max(begun + period + 1, _FEWEST))
+    first = int(max(_first_moved(part) + period + 1, _FEWEST))
     evidence = [logsumexp([f.evidence for f in _fits(part, response, k, first, _LAGS)]) for k in kinds]
     evidence[0] += np.log(_MOVING)
     kind = kinds[int(np.argmax(evidence))]
