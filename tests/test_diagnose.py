@@ -308,6 +308,13 @@ def test_of_two_machines_nothing_is_handed_back(nominal):
 
 
 @pytest.mark.slow
+def test_moved_damping_is_a_parameter_change(nominal):
+    found = pitp.diagnose(nominal, play(nominal.changed(np.array([0.9, 1.3, 1.1]))), exclude=FEW)
+    assert found.effects == ("parameter_change",)
+    np.testing.assert_allclose(found.shift, [0.9, 1.3, 1.1], rtol=0.02)
+
+
+@pytest.mark.slow
 def test_what_has_not_moved_is_told_as_the_nominals(nominal):
     found = pitp.diagnose(nominal, play(nominal.changed(np.array([1.3, 1.0, 1.2]))), exclude=FEW)
     assert found.effects == ("parameter_change",)

@@ -9,7 +9,7 @@ from played import nominal_of, play
 
 from pitp_jax._diagnose import diagnosis
 from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.data import build_case
+from pitp_jax._diagnose.data import build_case, excitations
 from pitp_jax._diagnose.evidence import evidence
 from pitp_jax._diagnose.fit import Fit
 from pitp_jax._diagnose.search import Hypothesis, Search
@@ -99,6 +99,9 @@ def test_a_set_that_improves_one_of_many_records_is_judged_on_parts():
     assert compared(4).single() == 4
     assert compared(4).best().names == () and compared(0, 1, 2, 3, 4).best().names == ("clip",)
     assert compared(3, 4).single() is None and compared().single() is None and compared(0, 1, 2, 3, 4).single() is None
+    accepted: Any = compared(4)
+    accepted.best = lambda: SimpleNamespace(names=("clip",))
+    assert accepted.single() is None
     # parts of fewer than four recordings are left out already
     assert compared(1, names="abc").single() is None and compared(4, blocks=4).single() is None
 
@@ -122,6 +125,13 @@ def test_parts_that_are_left_out_cover_every_record_once(recorded):
         assert all(not np.any((mask > 0) & left_out) for mask, left_out in masks)
 
 
+@pytest.mark.slow
+def test_a_linear_model_of_each_recording_is_a_rival_where_parts_are_left_out(recorded):
+    case = build_case(*recorded)
+    whole, parts = (Search(c, False, (), Budget(), 0.0, 0.0).each_alone() for c in (case, case.in_parts()))
+    assert whole is None and parts is not None and np.all(np.isfinite(parts.mse))
+
+
 @pytest.mark.parametrize("accepted", [("clip",), ()])
 def test_a_search_on_parts_counts_only_if_it_accepts_a_set(recorded, monkeypatch, accepted):
     """Otherwise the search that leaves out whole recordings is judged, as before."""
@@ -141,5 +151,10 @@ def test_a_search_on_parts_counts_only_if_it_accepts_a_set(recorded, monkeypatch
             return SimpleNamespace(names=accepted if self.case.blocks == 4 else ())
 
     monkeypatch.setattr(diagnosis, "Search", Found)
-    found = diagnosis._searched(recorded[0], recorded[1], False, (), Budget(), ())
-    assert (found.search.case.blocks, list(found.showing)) == ((4, [3]) if accepted else (1, [0, 1, 2, 3, 4]))
+    limit = Budget(most=1000, lane_steps=300)
+    found = diagnosis._searched(recorded[0], recorded[1], False, (), limit, ())
+    case = build_case(*recorded)
+    all_of_them, one = excitations(case), excitations(case.alone([3]))
+    assert one < all_of_them
+    assert (found.search.case.blocks, found.distinct) == ((4, one) if accepted else (1, all_of_them))
+    assert limit.most == 1300  # the second search may simulate as much as the first

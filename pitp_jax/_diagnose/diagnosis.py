@@ -227,10 +227,10 @@ def diagnose(
     notes = (*fault.remarks(records[0].dt), *notes)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
-    noise, distinct = beside_noise(case, 0.0, case.thinned), excitations(case.alone(found.showing))
+    noise = beside_noise(case, 0.0, case.thinned)
     limit.begin("comparing the best set")
     decision, (handed, made, names_back) = _checked(
-        search, decide(search, own, noise, distinct, found.usual), model, records, before
+        search, decide(search, own, noise, found.distinct, found.usual), model, records, before
     )
     failed: list[str] = []
 
@@ -352,7 +352,7 @@ class _Searched:
 
     Attributes:
         pieces: the pieces of the records that the search used; None: all of them.
-        showing: the searched records that show the gap.
+        distinct: number of distinct excitations of the records that show the gap.
         before: the nominal's error in the package's free runs.
         own: the nominal's own error, 0 if unknown; source: its origin.
         usual: the nominal's error on the records of its identification, in a refit too; 0 if it is no measure of noise.
@@ -361,7 +361,7 @@ class _Searched:
 
     search: Search
     pieces: tuple[Piece, ...] | None
-    showing: Sequence[int]
+    distinct: int
     before: float
     own: float
     usual: float
@@ -381,7 +381,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     misfit, source = (0.0, "not known in a refit") if refit else (known, source)
     own, noise, usual = (beside_noise(case, m, case.thinned) for m in (misfit, 0.0, known))
     usual = usual if explains_most([s.output[s.counts] for s in case.series], known) else 0.0
-    search, showing = Search(case, refit, exclude, limit, max(own, noise), misfit), range(len(case.series))
+    search, distinct = Search(case, refit, exclude, limit, max(own, noise), misfit), excitations(case)
     own, interrupted = 0.0 if refit else own, False
     if not search.given.reaches(own):
         try:
@@ -391,11 +391,11 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
                 in_parts = Search(case.in_parts(), refit, exclude, limit, max(own, noise), misfit)
                 in_parts.run()
                 if in_parts.best().names:
-                    search, showing = in_parts, [only]
+                    search, distinct = in_parts, excitations(case.alone([only]))
         except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
             interrupted = True
             limit.stop("the rest of the search (interrupted)")
-    return _Searched(search, pieces, showing, before, own, usual, source, interrupted)
+    return _Searched(search, pieces, distinct, before, own, usual, source, interrupted)
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:
