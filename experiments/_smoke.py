@@ -1,4 +1,4 @@
-"""What the quick tests of the scripts (`--smoke`) share."""
+"""Name the effects that a quick diagnosis (`--smoke`) leaves out."""
 
 from pitp_jax._effects import CATALOGUE
 

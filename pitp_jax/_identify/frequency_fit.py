@@ -45,10 +45,9 @@ def fit_response(
     result = {}
     for (order, delayed), row in zip(shapes, fits, strict=True):
         logs = _logs(row, order, unit)
-        with np.errstate(over="ignore"):
-            exists = np.isfinite(row).all() and np.isfinite(np.exp(2 * logs)).all()
-        # sines far below a pole move it to infinity
-        if exists:
+        with np.errstate(over="ignore"):  # sines far below a pole move it to infinity
+            finite = np.isfinite([*row, *np.exp(2 * logs)]).all()
+        if finite:
             result[order, delayed] = np.append(logs, [row[-1] - np.log(unit)] * delayed)
     return result
 

@@ -69,7 +69,7 @@ def first_part(record: Record, omega: float, span: float | None = None) -> Recor
         span: range of the inputs that the model was made with, V; the recording's own if unknown.
     """
     lost = first_known(record)
-    length = _length(record, omega)
+    length = int(np.clip(_PERIODS * 2 * np.pi / (omega * record.dt), _LEAST, _MOST // 2))
     size = min(lost + length, record.samples)
     while True:
         part = _samples(record, np.arange(size))
@@ -82,11 +82,6 @@ def first_part(record: Record, omega: float, span: float | None = None) -> Recor
     if stands > 2 * length:
         kept = kept[(kept < length) | (kept >= stands - length // 2)]
     return _samples(record, kept)
-
-
-def _length(record: Record, omega: float) -> int:
-    """Return how many samples of the motion are used."""
-    return int(np.clip(_PERIODS * 2 * np.pi / (omega * record.dt), _LEAST, _MOST // 2))
 
 
 def _first_moved(record: Record) -> int:
@@ -150,14 +145,14 @@ def estimate_start(part: Record, response: Response) -> Beginning:
 
 
 def _opposes(part: Record, response: Response) -> bool:
-    """Return whether the motion and the response of the model, in its usual direction, correlate negatively."""
+    """Return whether the reading and the model's response in its usual direction correlate negatively."""
     seen = part.observed & np.isfinite(response.rest)
     y, run = part.displacement[seen], response.rest[seen]
     return bool(response.direction * ((y - y.mean()) @ (run - run.mean())) < 0)
 
 
 def _settled_differs(part: Record, response: Response) -> bool:
-    """Return whether u(0) has an equilibrium whose response differs from that from rest by more than the noise."""
+    """Return whether the response settled at u(0) exists and differs from that from rest by more than the noise."""
     least = max(noise_std(part.displacement), _FINEST * float(np.ptp(part.displacement[part.observed])))
     return bool(np.isfinite(response.held).all() and np.abs(response.held - response.rest).max() > least)
 
