@@ -10,6 +10,7 @@ from pitp_jax import records_mesh, rest_state
 from pitp_jax._train import free_run_problem
 from pitp_jax._train.forward_sensitivity import Runs
 from pitp_jax._train.free_run_problem import FreeRuns
+from pitp_jax._train.lower_bound import LowerBound
 from pitp_jax._train.parameters import parameters
 
 DT, EVERY = 2e-3, 3
@@ -23,7 +24,7 @@ def problem(nonlinear):
 
     def runs(count, samples):
         start = np.tile(np.asarray(rest_state(model)), (count, 1))
-        drawn = rng.uniform(0, 1800, (count, samples)), rng.normal(0.3, 0.4, (count, samples))
+        drawn = rng.uniform(0, 900, (count, samples)), rng.normal(0.3, 0.4, (count, samples))
         weight = rng.uniform(0.5, 2, (count, samples))
         return Runs(*(jnp.asarray(a, jnp.float32) for a in (start, *drawn, weight)))
 
@@ -51,6 +52,7 @@ def sums(runs, vector):
 
 def close(found, truth):
     for a, b in zip(found, truth, strict=True):
+        assert np.isfinite(b).all()
         np.testing.assert_allclose(a, b, rtol=0, atol=2e-5 * np.abs(b).max())
 
 
@@ -89,3 +91,22 @@ def test_very_many_are_cut(problem, monkeypatch):
     cut = built(problem)
     assert [part.voltage.shape for part in cut._parts] == [(3, 200)] * 5 + [(3, 90)]
     close(sums(cut, problem[3]), sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3]))
+
+
+@pytest.mark.slow
+def test_slopes_of_bounded_parameters_follow_the_chain_rule(problem):
+    """dr/dv = dr/dp dp/dv, with a bound so near to the time constants that they differ from their coordinates."""
+    vector = problem[3]
+    least = np.full(len(vector), -np.inf)
+    least[-3:] = vector[-3:] - 0.3  # the logarithms of the lags
+    bound = LowerBound(least)
+    there = bound.coordinates(vector)
+    near, free = built(problem, bound=bound), built(problem)
+    assert (bound.slopes(there) < 1).sum() == 3
+    prior = len(free._parts)  # its block changes with the coordinates
+    for k, (one, other) in enumerate(zip(near.slopes(there), free.slopes(vector), strict=True)):
+        if k != prior:
+            np.testing.assert_allclose(one, other * bound.slopes(there), rtol=1e-4, atol=1e-4 * np.abs(other).max())
+    for k, (one, other) in enumerate(zip(near.errors(there), free.errors(vector), strict=True)):
+        if k != prior:
+            np.testing.assert_allclose(one, other, rtol=1e-4, atol=1e-4 * np.abs(other).max())

@@ -21,8 +21,9 @@ from pitp_jax._simulate.decoder import at_rest, rest_state, rollout, rollout_bat
 from pitp_jax._simulate.prediction import predict
 from pitp_jax._train import refine as refining
 from pitp_jax._train.dataset import build_dataset
+from pitp_jax._train.lower_bound import UNBOUNDED
 from pitp_jax._train.parameters import parameters
-from pitp_jax._train.refine import refine
+from pitp_jax._train.refine import lower_bound, refine
 from pitp_jax._train.shapes import Shapes
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
@@ -221,7 +222,7 @@ def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monke
 def test_steps_that_win_little_are_the_last(start, monkeypatch, kept, steps):
     """Five steps that together lower the error by 3.9 % end it, by 5.9 % not."""
     vector = parameters(start[0])[0]
-    monkeypatch.setattr(refining, "_problem", lambda *_: SimpleNamespace(errors=None, slopes=None))
+    monkeypatch.setattr(refining, "_problem", lambda *_: SimpleNamespace(errors=None, slopes=None, bound=UNBOUNDED))
     monkeypatch.setattr(refining, "accelerated", lambda *_: ((vector, kept**k, False) for k in range(99)))
     how = refining._How(DT, quiet, 1e-4, None, None, 8)
     assert len(list(refining._descend(start[0], (), 20, "free runs", how))) == steps
@@ -320,3 +321,22 @@ def test_windows_of_another_training_keep_their_shape_and_the_weight_of_each_rec
     assert float(runs.weight.sum()) == pytest.approx(float(own.weight.sum()), rel=0.1)
     force = np.asarray(data.equation.force)
     np.testing.assert_array_equal(shapes.filled(data.equation).force, np.append(force, force[:7]))
+
+
+@pytest.mark.parametrize(("ring", "lags"), [((), 2), ((60.0, 0.1), 2)])
+def test_a_lag_at_its_bound_is_stable_and_a_far_shorter_one_diverges(nonlinear, ring, lags):
+    """Runge-Kutta steps of z' = (x - z) / tau grow for a step above 2.79 tau: a quarter of the bound is outside."""
+    dt = 5e-3
+    model = nonlinear(2, size=0.0, ring=ring, dt=dt)
+    numbers, sizes = parameters(model)
+    bound = lower_bound(model, sizes, dt / model.substeps)
+    bounded = np.isfinite(bound.least)
+    assert bounded.sum() == lags and np.exp(bound.least[bounded]) == pytest.approx(dt / model.substeps)
+    voltage = jnp.full((3000,), 900.0)
+
+    def ends(factor):
+        lag = jnp.asarray(bound.least[bounded] + np.log(factor), jnp.float32)
+        changed = eqx.tree_at(lambda m: m.memory.log_tau, model, lag)
+        return rollout(changed, voltage, dt, rest_state(changed))[-1]
+
+    assert np.isfinite(ends(1.0)).all() and not np.isfinite(ends(0.25)).all()

@@ -20,6 +20,7 @@ from .._model.model import Model
 from .._sharding import over_records, spread
 from .creep_balance import SlowBalance
 from .forward_sensitivity import Runs, run_errors, run_slopes
+from .lower_bound import UNBOUNDED, LowerBound
 from .parameters import with_parameters
 
 # runs at once on a core: fewer wait for kernels to start, more wait for memory
@@ -47,6 +48,7 @@ class FreeRuns:
         dt: sampling interval, s.
         every: the error is taken at every `every`-th sample.
         prior: rho and p_0 per trained parameter.
+        bound: of the trained parameters; the optimiser sees its coordinates.
         slow: the slow balance to be fitted as well.
         mesh: devices that share every batch; default one device, or all cores of a CPU.
     """
@@ -59,34 +61,39 @@ class FreeRuns:
         every: int,
         *,
         prior: tuple[np.ndarray, np.ndarray],
+        bound: LowerBound = UNBOUNDED,
         slow: SlowBalance | None = None,
         mesh: Mesh | None = None,
     ):
         self._model, self._how, self._slow, self._mesh = model, (dt, every), slow, mesh
         self._root, self._centre = np.sqrt(prior[0]), prior[1]  # sqrt(rho): the prior is one more block of residuals
+        self.bound = bound
         if mesh is None:
             self._parts = [part for runs in batches for part in runs.parts(_parts_of(len(runs.start)))]
         else:
             self._parts = [spread(runs.filled(len(mesh.local_devices)), mesh) for runs in batches]
 
     def errors(self, vector: np.ndarray) -> list[np.ndarray]:
-        """Compute all residuals for these trained parameters, in blocks."""
-        here = with_parameters(self._model, vector)
+        """Compute all residuals at these coordinates, in blocks."""
+        here = with_parameters(self._model, self.bound.parameters(vector))
         runs = [np.asarray(e) for e in self._each(run_errors, here)]
         slow = [] if self._slow is None else [self._slow.errors(here)]
         return [*runs, self._root * (vector - self._centre), *slow]
 
     def miss(self, vector: np.ndarray) -> float:
-        """Compute the rms simulation error, % of range, without the prior; infinite if a simulation diverges."""
-        runs = self._each(run_errors, with_parameters(self._model, vector))
+        """Compute the rms simulation error of trained parameters, % of range, without the prior; infinite: diverged."""
+        inside = self.bound.parameters(self.bound.coordinates(vector))
+        runs = self._each(run_errors, with_parameters(self._model, inside))
         rms = float(np.sqrt(sum(np.sum(np.square(np.asarray(e, np.float64))) for e in runs)))
         return rms if np.isfinite(rms) else np.inf  # nan would win or lose an argmin at random
 
     def slopes(self, vector: np.ndarray) -> list[Array | np.ndarray]:
-        """Compute the derivatives of all residuals with respect to the trained parameters (last axis)."""
-        here = with_parameters(self._model, vector)
+        """Compute the derivatives of all residuals with respect to the coordinates (last axis)."""
+        here = with_parameters(self._model, self.bound.parameters(vector))
         runs = self._each(run_slopes, here)
         slow = [] if self._slow is None else [self._slow.slopes(here, len(vector))]
+        if ((by := self.bound.slopes(vector)) < 1).any():
+            runs, slow = [b * by for b in runs], [b * by for b in slow]
         return [*runs, np.diag(self._root), *slow]
 
     def _each(self, function: Callable, here: Model) -> list[Array]:

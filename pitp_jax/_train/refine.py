@@ -27,6 +27,7 @@ from jax.sharding import Mesh
 from jaxtyping import Float
 
 from .._errors import ComputationFailed
+from .._model.memory import FadingMemory, RingingMemory
 from .._model.model import Model
 from .._numerics.minimise import accelerated
 from .._record.excitation_kind import spread_over_kinds
@@ -41,6 +42,7 @@ from .creep_balance import SlowBalance
 from .dataset import Dataset
 from .forward_sensitivity import Runs
 from .free_run_problem import FreeRuns
+from .lower_bound import LowerBound
 from .parameters import parameters, trainable, with_parameters
 from .shapes import Shapes
 
@@ -105,22 +107,34 @@ def refine(
 
 def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
     start, sizes = parameters(model)
+    bound = lower_bound(model, sizes, how.dt / model.substeps)
     centre = np.where(np.arange(len(start)) < sizes[0], 0.0, start)  # time constants stay near their initial values
-    prior = prior_weights(model, sizes, how.firmness)
-    return FreeRuns(model, batches, how.dt, how.every, prior=(prior, centre), slow=how.slow, mesh=how.mesh)
+    prior = prior_weights(model, sizes, how.firmness), bound.coordinates(centre)
+    return FreeRuns(model, batches, how.dt, how.every, prior=prior, bound=bound, slow=how.slow, mesh=how.mesh)
+
+
+def lower_bound(model: Model, sizes, step: float) -> LowerBound:
+    """Return the bound of the trained parameters: a lag of x is at least as long as a `step` (s) of the simulation.
+
+    Runge-Kutta steps diverge on a lag below a third of it, too slowly for windows to show it, and such a lag is x.
+    """
+    bounds, end = np.full(sum(sizes), -np.inf), sum(sizes[:2])
+    if isinstance(model.memory, FadingMemory | RingingMemory):  # the lags are the last parameters of both
+        bounds[end - len(model.memory.log_tau) : end] = np.log(step)
+    return LowerBound(bounds)
 
 
 def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how: _How) -> Iterator[tuple[Model, dict]]:
     runs = _problem(model, batches, how)
-    costs, began = [], time.monotonic()
-    for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, parameters(model)[0])):
+    costs, began, start = [], time.monotonic(), runs.bound.coordinates(parameters(model)[0])
+    for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, start)):
         if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the recordings for spikes")
         costs.append(cost)
         remaining = (time.monotonic() - began) / (k + 1) * (count - k)
         how.report(stage, k, count, cost, min(costs), remaining)
         if k:  # the first is the start itself
-            yield with_parameters(model, vector), {"stage": stage, "step": k, "error": cost}
+            yield with_parameters(model, runs.bound.parameters(vector)), {"stage": stage, "step": k, "error": cost}
         settled = k >= _PATIENCE and costs[-1] > (1 - _SLOW) * costs[-1 - _PATIENCE]
         if done or settled or k == count:
             return
