@@ -42,7 +42,7 @@ def test_a_reduced_record_is_of_the_same_plant(input_map, force):
     """SciPy's run at 10 kHz, averaged, against SciPy's run of the converted coefficients on the averaged input."""
     voltage = SWEEP if input_map.one_sided else force
     fine, model = [record_of(voltage, force)], model_at(RATE, input_map=input_map)
-    (small,), converted = reduce_rate(fine, model, 40.0)
+    (small,), converted = reduce_rate(fine, model, 40.0, 10**6)
     size = round(small.dt * RATE)
     assert small.dt * HZ * 40 <= 1 < (small.dt + 1 / RATE) * 3 * HZ * 40
     np.testing.assert_allclose(
@@ -64,7 +64,7 @@ def test_a_mode_far_above_the_motion_keeps_no_samples():
     def rate_with(hz):
         w = 2 * np.pi * hz
         more = np.convolve(COEFFICIENTS, [1.0, 0.1 / w, 1 / w**2])
-        return 1 / reduce_rate(fine, model_at(RATE, more), 40.0)[0][0].dt
+        return 1 / reduce_rate(fine, model_at(RATE, more), 40.0, 10**6)[0][0].dt
 
     assert rate_with(400.0) == rate_with(4000.0) < 40 * 3 * HZ
     assert 40 * 40 <= rate_with(40.0) < 1.2 * 40 * 40
@@ -72,10 +72,19 @@ def test_a_mode_far_above_the_motion_keeps_no_samples():
 
 def test_what_gains_nothing_stays_as_it_is():
     fine, model = [record_of(SWEEP, SWEEP**2)], model_at(RATE)
-    for how in ((1000.0, 2), (40.0, 100)):
-        assert reduce_rate(fine, model, how[0], least=how[1]) == (fine, model)
+    assert reduce_rate(fine, model, 200.0, 10**6) == (fine, model)
     short = [replace(fine[0], **{k: getattr(fine[0], k)[:100] for k in ("time", "voltage", "displacement")})]
-    assert reduce_rate(short, model, 40.0)[0] is short
+    assert reduce_rate(short, model, 40.0, 10**6)[0] is short
+
+
+@pytest.mark.parametrize(("usable", "kept"), [(10**6, 2500.0), (2000, 2000 / 3), (10, 80.0)])
+def test_a_fast_motion_of_little_energy_is_averaged_only_if_the_samples_are_too_many(usable, kept):
+    """Of noise, 2 Hz and, with 1 % of the energy, 60 Hz: forty samples a period of it, or as many as can be used."""
+    wave = np.sin(4 * np.pi * TIME) + 0.1 * np.sin(120 * np.pi * TIME)
+    noise = 0.05 * np.random.default_rng(0).standard_normal((2, len(TIME)))  # 0.5 % of the energy, up to 5 kHz
+    fine = [Record("r", TIME, 1000 * (wave + noise[0]), 1e-3 * (wave + noise[1]), "V", "m")]
+    (small,), _ = reduce_rate(fine, model_at(RATE, input_map=LinearInput()), 40.0, usable)
+    assert 1 / small.dt == pytest.approx(kept)
 
 
 def test_a_block_of_which_half_is_missing_is_missing():

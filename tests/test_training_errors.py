@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from scipy.signal import lsim
 
+from pitp_jax import Record
 from pitp_jax._train import errors as judging
 from pitp_jax._train.errors import Candidate, Judge, kept
 
@@ -63,3 +65,13 @@ def test_worse_on_one_record_is_not_handed_back(candidate, monkeypatch, between,
     assert fallback is not None and says in fallback
     assert len(problems) == 1 and says in problems[0] and "a (3 % of range instead of 2)" in problems[0]
     assert kept(candidate((0.3, 0.4)), judged, lambda _: models)[1:] == ([], None)
+
+
+def test_a_model_of_means_is_judged_at_the_rate_of_the_records(linear):
+    """The hold of the records counts there too: SciPy's held voltage is met, by straight lines it would not be."""
+    fine, coarse = linear(2, hz=20.0, hold="zoh"), linear(2, hz=20.0).sampled(0.01, "foh")
+    time = np.arange(2000) * 1e-3
+    voltage = np.repeat(np.random.default_rng(0).uniform(0, 1000, 400), 5)
+    x = lsim(([1.0], fine.physical_coefficients[::-1]), voltage**2, time, interp=False)[1]
+    found = judging.judge(fine, [Record("r", time, voltage, x, "V", "m")])(coarse)
+    assert found.model is coarse and found.trained < 0.05

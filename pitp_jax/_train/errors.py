@@ -16,8 +16,8 @@ from jaxtyping import Float
 
 from .._metrics import e_rms_percent
 from .._model.expected_error import error_table
-from .._model.fitted import Fitted
-from .._model.model import Model
+from .._model.fitted import Fitted, fitted_of
+from .._model.model import Hold, Model
 from .._record.excited import Table
 from .._record.initial_state import noise_std
 from .._record.record import Record
@@ -128,22 +128,28 @@ class Candidate:
 
 @dataclass(frozen=True)
 class Judge:
-    """A function that compares a model with the nominal model by simulation errors on the training records."""
+    """A function that compares a model with the nominal model by simulation errors on the training records.
+
+    Models of averaged records are simulated at the records' own rate, where they will be used.
+    """
 
     records: Sequence[Record]
     nominal: Float[np.ndarray, " records"]
     noise: Float[np.ndarray, " records"]
+    hold: Hold = "foh"
 
     def __call__(self, model: Model) -> Candidate:
         """Simulate the model on all records, and return it as a candidate with its errors."""
         names = tuple(r.name for r in self.records)
-        return Candidate(model, names, self.nominal, errors(model, self.records), self.noise)
+        averaged = any(r.dt != model.dt for r in self.records)
+        there = model.sampled(self.records[0].dt, self.hold) if averaged else model
+        return Candidate(model, names, self.nominal, errors(there, self.records), self.noise)
 
 
 def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
     """Build the function that compares trained models with this nominal model on these records."""
     noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
-    return Judge(records, errors(nominal, records), np.array(noise))
+    return Judge(records, errors(nominal, records), np.array(noise), fitted_of(nominal).hold)
 
 
 def kept(

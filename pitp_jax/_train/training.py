@@ -47,7 +47,6 @@ from .shapes import Shapes
 
 _OPTIMISER = optax.scale_by_adam()
 _PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
-_WORTH_REDUCING = 4  # samples a block: with less, every sample of a set within the budget is kept
 
 
 @dataclass(frozen=True)
@@ -135,11 +134,9 @@ def train(
         raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
     seen, motionless = in_motion(records)
     parent = fitted_of(nominal)
-    many = sum(r.samples for r in seen) > BUDGET
     nominal = parent.model.sampled(seen[0].dt, parent.hold)
-    records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, least=2 if many else _WORTH_REDUCING,
-                                   size=shapes and shapes.block)  # fmt: skip
-    compare = judge(nominal, records)
+    compare = judge(nominal, seen)
+    records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, BUDGET, size=shapes and shapes.block)
     # the equation error needs x itself, so each record's own offset and direction are taken out first
     begun = with_zero_at_rest(begin(nominal, records)[2])
     nominal = _with_zero(nominal, parent.origin.long_record, begun)
@@ -160,8 +157,8 @@ def train(
     if best is None:
         raise BadInput("settings: no training stage; set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
-    if records[0].dt != seen[0].dt:  # trained on block means, but judged on the original records
-        chosen = judge(parent, seen)(chosen.model.sampled(seen[0].dt, parent.hold))
+    if records[0].dt != seen[0].dt:
+        chosen = replace(chosen, model=chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
              "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
