@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 
 from .._errors import BadInput
-from .._identify.identification import Identification, identify, structure_of
+from .._identify.identification import Identification, identify, structure_of, with_mass
 from .._model.fitted import Fitted
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
@@ -156,13 +156,16 @@ def _given(path: str, order, input_map) -> Fitted:
     return model
 
 
-def _identified(records, **how) -> Identification:
+def _identified(records, order, **how) -> Identification:
     """Identify a nominal model on the sweeps among the records, or on all records if there is no sweep."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")
     else:
         say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
-    identified = identify(sweeps or records, progress=say, **how)
-    say(f"identified order {identified.model.order}")
-    return identified
+    found = identify(sweeps or records, order=order, progress=say, **how)
+    say(f"identified order {found.model.order}")
+    if order == "auto" and with_mass(found):
+        say("order 2 predicts as well, and training cannot add the mass that order 1 lacks: identifying order 2")
+        found = identify(sweeps or records, order=2, progress=say, **how)
+    return found

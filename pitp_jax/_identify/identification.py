@@ -37,7 +37,7 @@ from .._record.reduced import averaged, block_size
 from .._record.sets import check_set
 from .._shown import Shown
 from .beginnings import find_beginnings
-from .candidates import choose, search
+from .candidates import NEAR, choose, search
 from .explained import explains
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
@@ -130,6 +130,16 @@ class Identification(Shown):
             raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
         system = self.to_scipy()
         return control.ss(system.A, system.B, system.C, system.D)
+
+
+def with_mass(found: Identification) -> bool:
+    """Return whether a model that will be trained starts at order 2 instead of the identified order 1.
+
+    It does if order 2 predicts held-out blocks as well as order 1 and its poles are known. The encoder changes
+    coefficients, but adds none: without a mass it can only imitate one (docs/decisions/structure.md).
+    """
+    two = [o for o in found.orders if o.order == 2 and o.poles_known]
+    return found.chosen.order == 1 and any(o.heldout <= NEAR * found.chosen.heldout for o in two)
 
 
 def structure_of(model: Fitted) -> dict[str, Any]:
