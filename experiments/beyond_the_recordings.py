@@ -28,7 +28,7 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax._demo.protocol import kind, measure
-from pitp_jax._identify.identification import structure_of, with_mass
+from pitp_jax._identify.identification import structure_of, trains_from_order_two
 from pitp_jax._structure.choice import Choice, Fitting, choose, impose
 
 HERE = Path(__file__).resolve().parent
@@ -66,7 +66,7 @@ def fitted(model: str, records: Sequence, row: str, seed: int, options) -> tuple
     input_map = "linear" if row == "silverbox" else "square"
 
     found = pitp.identify(records, input_map=input_map, order=options.order)
-    if options.order == "auto" and with_mass(found):  # as `pitp fit`
+    if options.order == "auto" and trains_from_order_two(found):  # as `pitp fit`
         found = pitp.identify(records, input_map=input_map, order=2)
     nominal = found.model
     key = jax.random.key(seed)

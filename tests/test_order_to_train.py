@@ -8,7 +8,7 @@ from scipy.signal import lsim
 
 from pitp_jax import Record, identify
 from pitp_jax._commands import fit
-from pitp_jax._identify.identification import with_mass
+from pitp_jax._identify.identification import trains_from_order_two
 
 TIME = np.arange(3000) * 2e-3
 
@@ -34,20 +34,20 @@ def overdamped():
 )
 def test_order_two_takes_the_place_of_one_where_it_is_as_good_and_known(overdamped, heldout, known, expected):
     one, two, *_ = overdamped.orders
-    assert (overdamped.chosen.order, with_mass(overdamped)) == (2, False)
+    assert (overdamped.chosen.order, trains_from_order_two(overdamped)) == (2, False)
     two = replace(two, heldout=heldout * one.heldout, poles_known=known)
-    assert with_mass(replace(overdamped, chosen=one, orders=(one, two))) == expected
+    assert trains_from_order_two(replace(overdamped, chosen=one, orders=(one, two))) == expected
 
 
 def test_a_plant_without_mass_gets_none():
     found = identify(recorded(1.5))
-    assert found.chosen.order == 1 and not with_mass(found)
+    assert found.chosen.order == 1 and not trains_from_order_two(found)
 
 
 def test_fit_identifies_again_unless_the_order_is_given(overdamped, monkeypatch, capsys):
     asked = []
     monkeypatch.setattr(fit, "identify", lambda records, order, **_: asked.append(order) or overdamped)
-    monkeypatch.setattr(fit, "with_mass", lambda found: True)
+    monkeypatch.setattr(fit, "trains_from_order_two", lambda found: True)
     fit._identified(recorded(1.5), order="auto")
     assert asked == ["auto", 2] and "cannot add the mass" in capsys.readouterr().err
     fit._identified(recorded(1.5), order=1)

@@ -79,7 +79,7 @@ def test_what_gains_nothing_stays_as_it_is():
 
 @pytest.mark.parametrize(("usable", "kept"), [(10**6, 2500.0), (2000, 2000 / 3), (10, 80.0)])
 def test_a_fast_motion_of_little_energy_is_averaged_only_if_the_samples_are_too_many(usable, kept):
-    """Of noise, 2 Hz and, with 1 % of the energy, 60 Hz: forty samples a period of it, or as many as can be used."""
+    """A motion of 2 Hz with 60 Hz (1 % of the energy) and noise keeps forty samples a period of 60 Hz, if usable."""
     wave = np.sin(4 * np.pi * TIME) + 0.1 * np.sin(120 * np.pi * TIME)
     noise = 0.05 * np.random.default_rng(0).standard_normal((2, len(TIME)))  # 0.5 % of the energy, up to 5 kHz
     fine = [Record("r", TIME, 1000 * (wave + noise[0]), 1e-3 * (wave + noise[1]), "V", "m")]

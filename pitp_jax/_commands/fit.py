@@ -6,7 +6,7 @@ from dataclasses import replace
 import jax
 
 from .._errors import BadInput
-from .._identify.identification import Identification, identify, structure_of, with_mass
+from .._identify.identification import Identification, identify, structure_of, trains_from_order_two
 from .._model.fitted import Fitted
 from .._model_file.model_file import load, save
 from .._record.excitation_kind import is_sweep
@@ -165,7 +165,7 @@ def _identified(records, order, **how) -> Identification:
         say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
     found = identify(sweeps or records, order=order, progress=say, **how)
     say(f"identified order {found.model.order}")
-    if order == "auto" and with_mass(found):
+    if order == "auto" and trains_from_order_two(found):
         say("order 2 predicts as well, and training cannot add the mass that order 1 lacks: identifying order 2")
         found = identify(sweeps or records, order=2, progress=say, **how)
     return found

@@ -132,7 +132,7 @@ class Identification(Shown):
         return control.ss(system.A, system.B, system.C, system.D)
 
 
-def with_mass(found: Identification) -> bool:
+def trains_from_order_two(found: Identification) -> bool:
     """Return whether a model that will be trained starts at order 2 instead of the identified order 1.
 
     It does if order 2 predicts held-out blocks as well as order 1 and its poles are known. The encoder changes

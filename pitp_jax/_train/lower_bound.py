@@ -1,6 +1,8 @@
 """Keep trained parameters above lower bounds by a change of coordinates, so that the optimiser needs no bounds.
 
 p = v for v >= p_min + 1,      p = p_min + exp(v - p_min - 1) below;      dp/dv is continuous and never zero
+
+In float64, as the optimiser; the tokens have a similar function in the model's precision (`_model/positive.py`).
 """
 
 from dataclasses import dataclass
@@ -30,8 +32,9 @@ class LowerBound:
     def coordinates(self, parameters: Vector) -> Vector:
         """Return the coordinates v of the parameters p; one at its bound or below is moved just above."""
         near = parameters < self.least + 1
-        above = np.maximum(np.where(near, parameters - np.where(near, self.least, 0.0), 1.0), _NEAREST)
-        return np.where(near, np.where(near, self.least, 0.0) + 1 + np.log(above), parameters)
+        least = np.where(near, self.least, parameters)  # finite, so that no difference is nan
+        above = np.maximum(parameters - least, _NEAREST)
+        return np.where(near, least + 1 + np.log(above), parameters)
 
     def slopes(self, coordinates: Vector) -> Vector:
         """Compute dp/dv, which is also p - p_min where p differs from v."""

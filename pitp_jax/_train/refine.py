@@ -116,7 +116,8 @@ def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
 def lower_bound(model: Model, sizes, step: float) -> LowerBound:
     """Return the bound of the trained parameters: a lag of x is at least as long as a `step` (s) of the simulation.
 
-    Runge-Kutta steps diverge on a lag below a third of it, too slowly for windows to show it, and such a lag is x.
+    Runge-Kutta steps of a lag below a third of it diverge, too slowly for short windows to show it. A lag that short
+    equals x, so nothing is lost.
     """
     bounds, end = np.full(sum(sizes), -np.inf), sum(sizes[:2])
     if isinstance(model.memory, FadingMemory | RingingMemory):  # the lags are the last parameters of both

@@ -157,7 +157,7 @@ def train(
     if best is None:
         raise BadInput("settings: no training stage; set stages to 1 or more")
     chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
-    if records[0].dt != seen[0].dt:
+    if records[0].dt != seen[0].dt:  # trained on block means
         chosen = replace(chosen, model=chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
