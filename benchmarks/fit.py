@@ -14,11 +14,11 @@ import jax
 import jax.numpy as jnp
 
 import pitp_jax as pitp
-from pitp_jax._demo import protocol
-from pitp_jax._train import training
-from pitp_jax._train.dataset import build_dataset
-from pitp_jax._train.parameters import trainable
-from pitp_jax._train.settings import PRESETS, memory_of, with_encoder
+from pitp_jax.application.demo import protocol
+from pitp_jax.method.fit.parameters import trainable
+from pitp_jax.method.train import training
+from pitp_jax.method.train.dataset import build_dataset
+from pitp_jax.method.train.settings import PRESETS, memory_of, with_encoder
 
 from .clock import peak_mb, take_turns
 from .sizes import size

@@ -39,7 +39,7 @@ def cell(what: str, order: int, each: int, samples: int) -> float:
     import numpy as np
 
     import pitp_jax as pitp
-    from pitp_jax._effects import effect
+    from pitp_jax.method.effects import effect
 
     from .subjects import DT, nominal, voltages
 

@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax import inverse
-from pitp_jax._invert.equation import force_along, scaled_equation
-from pitp_jax._model.equation import equation_force
-from pitp_jax._model.model import Model
-from pitp_jax._model.programs import jit
-from pitp_jax._numerics.spline_derivative import fast_derivatives
+from pitp_jax.method.invert.equation import force_along, scaled_equation
+from pitp_jax.method.model.equation import equation_force
+from pitp_jax.method.model.model import Model
+from pitp_jax.method.model.programs import jit
+from pitp_jax.method.numerics.spline_derivative import fast_derivatives
 
 from .clock import row, take_turns
 from .machine import floor

@@ -50,20 +50,20 @@ EQUIVALENT = Path(__file__).with_name("mutants_equivalent.json")
 OPERATORS = ("sign", "factor", "index", "branch", "constant")
 COPIED = ("pitp_jax", "tests", "benchmarks", "experiments", "pyproject.toml", "README.md")
 NOT_NUMERIC = {
-    "_train": {"training", "settings", "dataset", "ensemble"},
-    "_diagnose": {"next_experiment", "select_records"},
+    "method/train": {"training", "settings", "dataset", "ensemble"},
+    "method/diagnose": {"next_experiment", "select_records"},
 }
 # test files of a room that reach all of its modules, quick ones first; FIRST: even before those that name the module
-FIRST = {"_effects": ("effect_equations",)}
+FIRST = {"method/effects": ("effect_equations",)}
 ROOMS = {
-    "_numerics": (),
-    "_model": ("encoder", "rows", "decode", "file"),
-    "_effects": ("effect_equations", "effects", "inverse_effects"),
-    "_simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
-    "_invert": ("inverse", "limits", "trim", "inverse_effects"),
-    "_identify": ("poles", "frequency_response", "rest", "identify"),
-    "_train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
-    "_diagnose": ("evidence", "simulator", "fits", "usable", "diagnose"),
+    "method/numerics": (),
+    "method/model": ("encoder", "rows", "decode", "file"),
+    "method/effects": ("effect_equations", "effects", "inverse_effects"),
+    "method/simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
+    "method/invert": ("inverse", "limits", "trim", "inverse_effects"),
+    "method/identify": ("poles", "frequency_response", "rest", "identify"),
+    "method/train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
+    "method/diagnose": ("evidence", "simulator", "fits", "usable", "diagnose"),
 }
 
 
@@ -249,14 +249,15 @@ def _tests() -> tuple[tuple[str, str, int], ...]:
 
 def reach(file: str) -> list[str]:
     """Test files for a package file: those that name it, those of few names first, then its room's."""
-    _, room, name = Path(file).with_suffix("").parts
+    _, *rooms, name = Path(file).with_suffix("").parts
+    room, dotted = "/".join(rooms), r"\.".join(rooms)
     text = (ROOT / file).read_text(encoding="utf-8")
     names = "|".join([name, *re.findall(r"^(?:def|class) ([A-Za-z]\w*)", text, re.M)])  # or what a door exports of it
     named = re.compile(
-        rf"pitp_jax\.{room}\.{name}\b|^from pitp_jax(\.{room})? import (\([^)]*|[^\n]*)\b({names})\b", re.M
+        rf"pitp_jax\.{dotted}\.{name}\b|^from pitp_jax(\.{dotted})? import (\([^)]*|[^\n]*)\b({names})\b", re.M
     )
     own = [path for path, text, _ in sorted(_tests(), key=lambda t: t[2]) if named.search(text)]
-    first, last = ([f"tests/test_{t}.py" for t in rooms.get(room, ())] for rooms in (FIRST, ROOMS))
+    first, last = ([f"tests/test_{t}.py" for t in of.get(room, ())] for of in (FIRST, ROOMS))
     return list(dict.fromkeys([*first, *own, *last]))
 
 
@@ -374,7 +375,7 @@ def main() -> None:
     ask = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     ask.add_argument("--count", type=int, default=100, help="faults drawn at random")
     ask.add_argument("--seed", type=int, default=0)
-    ask.add_argument("--only", default="", help="files, with commas: pitp_jax/_effects/coupling.py,...")
+    ask.add_argument("--only", default="", help="files, with commas: pitp_jax/method/effects/coupling.py,...")
     ask.add_argument("--jobs", type=int, default=1, help="mutants at a time")
     ask.add_argument("--limit", type=float, default=900.0, help="seconds a mutant's tests may take")
     ask.add_argument("--out", type=Path, default=Path("mutants"), help="folder of mutants.jsonl")

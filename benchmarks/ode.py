@@ -15,10 +15,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._model.model import Model
-from pitp_jax._model.programs import jit
-from pitp_jax._simulate.decoder import rest_state, scaled_force
-from pitp_jax._simulate.decoder import step as decoder_step
+from pitp_jax.method.model.model import Model
+from pitp_jax.method.model.programs import jit
+from pitp_jax.method.simulate.decoder import rest_state, scaled_force
+from pitp_jax.method.simulate.decoder import step as decoder_step
 
 from .machine import floor, operations
 from .sizes import size

@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax import Model
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import CompactEncoder, PaperEncoder
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.memory import ElapsedTime, FadingMemory
+from pitp_jax.method.model.model import Output, linear_model
 
 from .sizes import size
 

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import nn
 
-from pitp_jax._model.encoder import PaperEncoder, fast_memories
-from pitp_jax._model.model import Model
+from pitp_jax.method.model.encoder import PaperEncoder, fast_memories
+from pitp_jax.method.model.model import Model
 
 DEVICE = "cuda" if jax.default_backend() == "gpu" and torch.cuda.is_available() else "cpu"  # where JAX computes
 

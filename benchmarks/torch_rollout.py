@@ -7,7 +7,7 @@ arrays are small, and two would wait for each other.
 import torch
 from torchdiffeq import odeint
 
-from pitp_jax._model.model import Model
+from pitp_jax.method.model.model import Model
 
 from .ode import EQUAL, LOOSE, error
 from .torch_model import DEVICE, Step, finished, tensor

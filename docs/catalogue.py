@@ -22,14 +22,14 @@ from scipy.signal import lsim
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from effect_numbers import NUMBERS
 
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.spec import EffectSpec
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Model, Output, linear_model
-from pitp_jax._report.lines import ERROR, MEASURED
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.application.pages.lines import ERROR, MEASURED
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects.spec import EffectSpec
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.model import Model, Output, linear_model
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 HZ, ZETA, DT, SAMPLES = 5.0, 0.1, 2e-3, 2000  # 4 s, what one compiled chunk holds
 STIFFNESS = 1e9  # V^2/m: 1 mm at 1000 V

@@ -28,29 +28,32 @@ ADVICE = re.compile(  # where a text begins to say what to do
 
 # heading: (rooms, the page that helps)
 TASKS = {
-    "Files that cannot be read": (("_table", "_record"), "[Record formats](how_to/records.md) shows each option."),
+    "Files that cannot be read": (
+        ("files/containers", "files/recordings", "method/signal"),
+        "[Record formats](how_to/records.md) shows each option.",
+    ),
     "Options of the command line": (
-        ("cli.py", "_commands"),
+        ("application/commands",),
         "`pitp COMMAND --help` lists the options; [files and commands](contract.md) explains them.",
     ),
     "Check, identify and fit": (
-        ("_check", "_identify", "_train", "_structure"),
+        ("application/check", "method/identify", "method/train", "method/structure"),
         "[Which recordings](which_recordings.md) shows what a model needs.",
     ),
-    "Plan": (("_plan",), "[Which recordings](which_recordings.md) shows a plan."),
-    "Model files": (("_model", "_model_file"), "`pitp info MODEL` shows what a file holds."),
-    "Predict and simulate": (("_simulate",), "[Start](start.md) shows both with a demo."),
-    "Invert and export": (("_invert", "_export"), "[To the rig](to_the_rig.md) shows limits and exports."),
+    "Plan": (("application/plan",), "[Which recordings](which_recordings.md) shows a plan."),
+    "Model files": (("method/model", "files/model_file"), "`pitp info MODEL` shows what a file holds."),
+    "Predict and simulate": (("method/simulate",), "[Start](start.md) shows both with a demo."),
+    "Invert and export": (("method/invert", "files/export"), "[To the rig](to_the_rig.md) shows limits and exports."),
     "Diagnose and adapt": (
-        ("_diagnose", "_effects", "_adapt"),
+        ("method/diagnose", "method/effects", "method/adapt"),
         "[My rig disagrees](my_rig_disagrees.md) and [another day](another_day.md) show both commands.",
     ),
     "A robot and its simulator": (
-        ("_against", "_compare", "_mjcf"),
+        ("application/against", "application/compare", "files/mjcf"),
         "[I have a simulator](i_have_a_simulator.md) shows the five commands.",
     ),
     "Python": (
-        ("_numerics", "_plant", "_report", "_demo", "_errors.py", "_sharding.py"),
+        ("method/numerics", "application/plant", "application/pages", "application/demo", "common", "method/fit"),
         "[Python interface](api/README.md) lists arguments and shapes.",
     ),
 }
@@ -70,7 +73,8 @@ names and numbers; "…" stands for these. The part in bold says what to do. `(a
 @cache
 def page() -> str:
     """Return the page as Markdown."""
-    found = {room.name: set(messages(room)) for room in PACKAGE.iterdir()}
+    rooms = [PACKAGE / "common", *(p for storey in PACKAGE.iterdir() for p in storey.glob("*/"))]
+    found = {room.relative_to(PACKAGE).as_posix(): set(messages(room)) for room in rooms}
     missing = {name for name, here in found.items() if here} - {room for rooms, _ in TASKS.values() for room in rooms}
     if missing:
         raise ValueError(f"docs/messages.py: TASKS lists no heading for {sorted(missing)}; add one")

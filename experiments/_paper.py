@@ -2,7 +2,7 @@
 
     Bench(name): sweep, train, test records ──▶ identify ──▶ fit(settings) ──▶ errors / play
 
-Tables I and II are those of `pitp_jax._demo.protocol`; what the paper shows only in a figure has no number here (None).
+Tables I and II are those of `application.demo.protocol`; what the paper shows only in a figure is None here.
 """
 
 import json
@@ -16,8 +16,18 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import PREDICTION_PAPER, SCALES, SEED, TRACKING_PAPER, Track, kind, measure, play, swing
-from pitp_jax._train.settings import PRESETS
+from pitp_jax.application.demo.protocol import (
+    PREDICTION_PAPER,
+    SCALES,
+    SEED,
+    TRACKING_PAPER,
+    Track,
+    kind,
+    measure,
+    play,
+    swing,
+)
+from pitp_jax.method.train.settings import PRESETS
 
 ACTUATORS = ("cone100", "cone122", "cone150", "roll")
 TABLE_1, TABLE_2 = PREDICTION_PAPER, TRACKING_PAPER

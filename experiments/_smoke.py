@@ -1,6 +1,6 @@
 """Name the effects that a quick diagnosis (`--smoke`) leaves out."""
 
-from pitp_jax._effects import CATALOGUE
+from pitp_jax.method.effects import CATALOGUE
 
 
 def all_but(*names: str) -> list[str]:

@@ -19,19 +19,19 @@ import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects import effect
-from pitp_jax._export.c99 import write_sources
-from pitp_jax._export.equilibria import equilibria
-from pitp_jax._export.pi_gains import SENSITIVE, operating_points, tuning
-from pitp_jax._export.plan import plan
-from pitp_jax._model.constants import constant_array
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.memory import FadingMemory, NoMemory
-from pitp_jax._model.model import Model, Output, linear_model
-from pitp_jax._model.programs import in_double
+from pitp_jax.files.export.c99 import write_sources
+from pitp_jax.files.export.equilibria import equilibria
+from pitp_jax.files.export.pi_gains import SENSITIVE, operating_points, tuning
+from pitp_jax.files.export.plan import plan
+from pitp_jax.method.effects import effect
+from pitp_jax.method.model.constants import constant_array
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import CompactEncoder, ConstantEncoder
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.memory import FadingMemory, NoMemory
+from pitp_jax.method.model.model import Model, Output, linear_model
+from pitp_jax.method.model.programs import in_double
 
 TOP, STROKE, FINER = 3000.0, 1e-3, 4
 PLANTS = {"same": (1.0, 1.0)} | {f"k {k:g} g {g:g}": (k, g) for k in (0.8, 1.2) for g in (0.8, 1.2)}

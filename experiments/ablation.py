@@ -17,7 +17,7 @@ from _paper import errors
 from band_coverage import records_of
 
 import pitp_jax as pitp
-from pitp_jax._train.settings import PRESETS
+from pitp_jax.method.train.settings import PRESETS
 
 VARIANTS = {
     "default": {},

@@ -15,8 +15,8 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import excitations, measure
-from pitp_jax._train.settings import PRESETS
+from pitp_jax.application.demo.protocol import excitations, measure
+from pitp_jax.method.train.settings import PRESETS
 
 LEVELS = (0.95, 0.8, 0.5)
 

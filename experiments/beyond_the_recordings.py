@@ -27,9 +27,9 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import kind, measure
-from pitp_jax._identify.identification import structure_of, trains_from_order_two
-from pitp_jax._structure.choice import Choice, Fitting, choose, impose
+from pitp_jax.application.demo.protocol import kind, measure
+from pitp_jax.method.identify.identification import structure_of, trains_from_order_two
+from pitp_jax.method.structure.choice import Choice, Fitting, choose, impose
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))

@@ -18,8 +18,8 @@ from pathlib import Path
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import SEED, kind
-from pitp_jax._model.expected_error import expected_error
+from pitp_jax.application.demo.protocol import SEED, kind
+from pitp_jax.method.model.expected_error import expected_error
 
 HERE = Path(__file__).resolve().parent
 SETS = ("cone100", "roll", "hasel_peano", "silverbox", "so101/elbow", "so101/pitch")

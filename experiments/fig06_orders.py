@@ -13,8 +13,8 @@ from _paper import ACTUATORS, RESONANCE_HZ, TOKENS, Bench, errors
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax._demo.files import SWEEP_HZ
-from pitp_jax._report import paper_figures
+from pitp_jax.application.demo.files import SWEEP_HZ
+from pitp_jax.application.pages import paper_figures
 
 
 def main(smoke: bool = False, argv=()):

@@ -13,8 +13,8 @@ from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax._report import paper_figures
-from pitp_jax._report.lines import ERROR
+from pitp_jax.application.pages import paper_figures
+from pitp_jax.application.pages.lines import ERROR
 
 FREQUENCY = {"roll": 110.0, "cone": 8.0}  # Hz
 DEFAULT = PRESETS["default"]

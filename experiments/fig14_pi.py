@@ -15,7 +15,7 @@ from _paper import TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax._report import paper_figures
+from pitp_jax.application.pages import paper_figures
 
 SECONDS = {"roll": 2.0, "cone": 20.0}
 SOFTER = 0.97

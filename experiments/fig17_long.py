@@ -12,8 +12,8 @@ from _paper import PRESETS, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax._report import paper_figures
-from pitp_jax._report.lines import CYCLE
+from pitp_jax.application.pages import paper_figures
+from pitp_jax.application.pages.lines import CYCLE
 
 SECONDS, FREQUENCY = 50.0, 0.5
 

@@ -12,7 +12,7 @@ from _show import arguments, axes_grid, finish, panel, show
 from scipy.ndimage import gaussian_filter1d
 
 from pitp_jax import excitation
-from pitp_jax._report import paper_figures
+from pitp_jax.application.pages import paper_figures
 
 BAND = {"roll": (20.0, 1.0), "cone": (1.5, 10.0)}  # slowest frequency (Hz) and length (s)
 

@@ -14,8 +14,8 @@ from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax._report import paper_figures
-from pitp_jax._report.lines import CYCLE
+from pitp_jax.application.pages import paper_figures
+from pitp_jax.application.pages.lines import CYCLE
 
 PAPER = PRESETS["paper"]
 SHOWN_HZ = {"roll": (10, 100), "cone": (3, 5)}

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._train.settings import PRESETS
+from pitp_jax.method.train.settings import PRESETS
 
 CASES = {
     "cone100": ("bench/cone100", ["sweep"], ["train"], ["test"], "auto", "square"),

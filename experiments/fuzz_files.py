@@ -406,12 +406,12 @@ def _models(folder: Path) -> None:
     import jax.numpy as jnp
 
     from pitp_jax import save
-    from pitp_jax._effects import CATALOGUE
-    from pitp_jax._model.domain import Domain
-    from pitp_jax._model.encoder import CompactEncoder, ConstantEncoder
-    from pitp_jax._model.input_map import SquareInput
-    from pitp_jax._model.memory import FadingMemory, NoMemory
-    from pitp_jax._model.model import Model, Output, Scales
+    from pitp_jax.method.effects import CATALOGUE
+    from pitp_jax.method.model.domain import Domain
+    from pitp_jax.method.model.encoder import CompactEncoder, ConstantEncoder
+    from pitp_jax.method.model.input_map import SquareInput
+    from pitp_jax.method.model.memory import FadingMemory, NoMemory
+    from pitp_jax.method.model.model import Model, Output, Scales
 
     folder.mkdir()
     for name, encoder, memory, effects in (

@@ -17,7 +17,7 @@ from _hardening import DT, Plant, record, sine, sweep
 from _show import show
 
 import pitp_jax as pitp
-from pitp_jax._model.drive import ElectrodeLag
+from pitp_jax.method.model.drive import ElectrodeLag
 
 SINES = ((0.7, 1.0), (1.9, 0.9), (3.3, 0.8), (5.1, 0.7))  # Hz, of the largest voltage
 KEPT = ((1.3, 0.95), (4.2, 0.75))

@@ -16,7 +16,7 @@ import numpy as np
 from _smoke import all_but
 
 import pitp_jax as pitp
-from pitp_jax._diagnose import budget, pieces
+from pitp_jax.method.diagnose import budget, pieces
 
 SAMPLES, STEPS = 150_000, 20
 # name: frequency (Hz), damping ratio, sampling rate (Hz), recordings

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._mjcf.play import play
+from pitp_jax.files.mjcf.play import play
 
 DT, SECONDS = 5e-3, 10.0  # s: of a sample, of a record
 COUNT = 2 * np.pi / 2**14  # rad

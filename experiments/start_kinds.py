@@ -23,9 +23,9 @@ from _show import show
 from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
-from pitp_jax._identify.linear_ode import poles as modes
-from pitp_jax._identify.linear_ode import respond
-from pitp_jax._record.start import Response, estimate_start, first_part
+from pitp_jax.method.identify.linear_ode import poles as modes
+from pitp_jax.method.identify.linear_ode import respond
+from pitp_jax.method.signal.start import Response, estimate_start, first_part
 
 RATES = (100.0, 300.0, 1000.0, 3000.0, 10_000.0)
 KINDS, VERBS = ("rest", "held", "moving"), ("equation", "identify", "predict")

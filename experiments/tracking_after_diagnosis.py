@@ -19,8 +19,8 @@ from _smoke import all_but
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
-from pitp_jax._demo import protocol
-from pitp_jax._train.settings import PRESETS
+from pitp_jax.application.demo import protocol
+from pitp_jax.method.train.settings import PRESETS
 
 LAG = 8e-3  # s
 SEED = 7  # of the sensor noise on the changed rig

@@ -6,7 +6,7 @@
         [--strength 1.0] [--refit] [--noise NAME] [--pairs] [--outside] [--none N] [--leave-one-out]
         [--cache DIR] [--results DIR] [--write DIR] [--table] [--smoke]
 
-The effects are written in `_withheld/`, apart from the diagnosis' own (nothing of `pitp_jax._effects` is imported), and
+The effects are written in `_withheld/`, apart from the diagnosis' own (nothing of `method.effects` is imported), and
 labels are sealed by a printed sha256 until all diagnoses are done. Thresholds of the diagnosis are tuned on seeds 0 to
 99 only; figures are reported on seeds from 100 on. With `--results` a case is one JSON, and an interrupted run resumes;
 delete the folder when the diagnosis has changed. `--table` prints the gap of every case and diagnoses nothing.

@@ -20,8 +20,8 @@ import numpy as np
 import optax
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import excitations, measure, run
-from pitp_jax._simulate.decoder import rollout_batch
+from pitp_jax.application.demo.protocol import excitations, measure, run
+from pitp_jax.method.simulate.decoder import rollout_batch
 
 
 def random_voltages(rng, count: int, samples: int, low: float, high: float) -> np.ndarray:

@@ -8,9 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from pitp_jax._model.model import Model
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.method.model.model import Model
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 
 @dataclass(frozen=True)

@@ -20,11 +20,11 @@ with install_import_hook(_SHAPED, "typecheck.check"):
     import equinox as eqx
 
     import pitp_jax
-    from pitp_jax._model.domain import Domain
-    from pitp_jax._model.encoder import CompactEncoder
-    from pitp_jax._model.input_map import SquareInput
-    from pitp_jax._model.memory import FadingMemory, RingingMemory
-    from pitp_jax._model.model import Hold, Output, linear_model
+    from pitp_jax.method.model.domain import Domain
+    from pitp_jax.method.model.encoder import CompactEncoder
+    from pitp_jax.method.model.input_map import SquareInput
+    from pitp_jax.method.model.memory import FadingMemory, RingingMemory
+    from pitp_jax.method.model.model import Hold, Output, linear_model
 
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
         if not _module.name.endswith("__main__"):

@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pitp_jax._diagnose.diagnosis import Diagnosis
-from pitp_jax._diagnose.gap import Gap
-from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._diagnose.parts import Part, Parts
-from pitp_jax._diagnose.result import Added, Ranked
-from pitp_jax._diagnose.traces import Trace
-from pitp_jax._effects import effect
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.fitted import model_of
+from pitp_jax.method.diagnose.diagnosis import Diagnosis
+from pitp_jax.method.diagnose.gap import Gap
+from pitp_jax.method.diagnose.next_experiment import Experiment
+from pitp_jax.method.diagnose.parts import Part, Parts
+from pitp_jax.method.diagnose.result import Added, Ranked
+from pitp_jax.method.diagnose.traces import Trace
+from pitp_jax.method.effects import effect
+from pitp_jax.method.model.fitted import Fitted, model_of
+from pitp_jax.method.model.origin import Origin
 
 T = np.arange(2000) / 500.0
 NAMES = ("sweep<1>", "sine2", "sine&4")

@@ -24,9 +24,9 @@ import numpy as np
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.spec import EffectSpec
-from pitp_jax._model_file.parts import REMOVED
+from pitp_jax.files.model_file.parts import REMOVED
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects.spec import EffectSpec
 
 FOLDER = Path(__file__).parent / "files" / "guard"
 SAMPLES, EVERY = 960, 60  # of a run; every 60th sample is kept

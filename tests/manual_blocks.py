@@ -5,7 +5,7 @@ import shlex
 from dataclasses import dataclass
 from pathlib import Path
 
-from pitp_jax.cli import main
+from pitp_jax.application.commands.main import main
 
 ROOT = Path(__file__).resolve().parents[1]
 RUN = ("python", "sh")

@@ -4,8 +4,8 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from pitp_jax._train.forward_sensitivity import run_errors, run_slopes
-from pitp_jax._train.parameters import with_parameters
+from pitp_jax.method.fit.forward_sensitivity import run_errors, run_slopes
+from pitp_jax.method.fit.parameters import with_parameters
 
 
 def normal_equations(model, runs, dt, every, vector):

@@ -6,9 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 HZ, DT, SAMPLES = 5.0, 4e-3, 1500
 TIME = np.arange(SAMPLES) * DT

@@ -10,7 +10,7 @@ import numpy as np
 from played import FEW
 
 import pitp_jax as pitp
-from pitp_jax._effects import effect
+from pitp_jax.method.effects import effect
 
 DT, SAMPLES, NOISE = 2e-3, 1500, 2e-6
 TIME = np.arange(SAMPLES) * DT

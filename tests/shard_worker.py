@@ -8,21 +8,28 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax._diagnose.data import build_case
-from pitp_jax._diagnose.library import INDEX
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.memory import FadingMemory
-from pitp_jax._model.model import Output, linear_model
-from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._record.record import Record
-from pitp_jax._sharding import local_rows, over_records, records_mesh, sharded_inverse, sharded_rollout, spread
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
-from pitp_jax._train.forward_sensitivity import Runs, run_slopes
-from pitp_jax._train.free_run_problem import FreeRuns
-from pitp_jax._train.parameters import parameters
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.diagnose.library import INDEX
+from pitp_jax.method.fit.forward_sensitivity import Runs, run_slopes
+from pitp_jax.method.fit.free_run_problem import FreeRuns
+from pitp_jax.method.fit.parameters import parameters
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.memory import FadingMemory
+from pitp_jax.method.model.model import Output, linear_model
+from pitp_jax.method.numerics.spline_derivative import derivatives
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
+from pitp_jax.method.simulate.devices import (
+    local_rows,
+    over_records,
+    records_mesh,
+    sharded_inverse,
+    sharded_rollout,
+    spread,
+)
 
 DT, SAMPLES, RECORDS = 1e-3, 200, 11
 

@@ -10,16 +10,16 @@ import pytest
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
-from pitp_jax._adapt.evidence import covariance, directions, select, subsets
-from pitp_jax._adapt.factors import adapted, factors_of
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import AdaptedEncoder, CompactEncoder
-from pitp_jax._model.fitted import model_of
-from pitp_jax._model.memory import FadingMemory
-from pitp_jax._record.waveforms import smooth_step
-from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax.application.plan.waveforms import smooth_step
+from pitp_jax.method.adapt.evidence import covariance, directions, select, subsets
+from pitp_jax.method.fit.factors import adapted, factors_of
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import AdaptedEncoder, CompactEncoder
+from pitp_jax.method.model.fitted import Fitted, model_of
+from pitp_jax.method.model.memory import FadingMemory
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.simulate.batched_rollout import fast_rollout
+from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
 
 TIME, U = pitp.excitation.multisine((0.3, 8.0), 4.0, 1e3, 500.0, 600.0, seed=3, rise=0.3)
 

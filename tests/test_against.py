@@ -10,16 +10,16 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax._against import page
-from pitp_jax._against.correction import corrections
-from pitp_jax._against.entry import simplest_model
-from pitp_jax._against.parameters import parameters
-from pitp_jax._against.result import SimToReal
-from pitp_jax._demo import joint
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.physical import physical, physical_factor
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.origin import Origin
+from pitp_jax.application.against.correction import corrections
+from pitp_jax.application.against.entry import simplest_model
+from pitp_jax.application.against.result import SimToReal
+from pitp_jax.application.demo import joint
+from pitp_jax.application.pages import against as page
+from pitp_jax.method.diagnose.joint import parameters
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects.physical import physical, physical_factor
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.origin import Origin
 
 A = np.array([1.0, 0.045, 0.0025])  # the demo's ideal joint over its position gain
 TIME = np.arange(1600) / 200

@@ -111,7 +111,7 @@ def test_torch_copies_are_the_same_model(preset):
     torch = pytest.importorskip("torch")
     from benchmarks import subjects
     from benchmarks.torch_model import Inverse, tensor
-    from pitp_jax._invert.equation import force_along
+    from pitp_jax.method.invert.equation import force_along
 
     model = getattr(subjects, preset)()
     rng = np.random.default_rng(0)

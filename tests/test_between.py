@@ -7,9 +7,9 @@ import pytest
 from scipy.signal import lsim
 
 from pitp_jax import discrete_inverse, rest_state
-from pitp_jax._model import LinearInput
-from pitp_jax._numerics.intersample import between, weights
-from pitp_jax._simulate.decoder import rollout
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.numerics.intersample import between, weights
+from pitp_jax.method.simulate.decoder import rollout
 
 HOLDS = ("zoh", "foh", "bandlimited")
 FRACTIONS = np.array([0.0, 0.2, 0.5, 0.9])

@@ -9,19 +9,19 @@ from browser import CHROMIUM, measured
 from test_compare import machine
 
 import pitp_jax as pitp
-from pitp_jax._against import SimToReal
-from pitp_jax._against.page import page as against_page
-from pitp_jax._against.parameters import Parameter
-from pitp_jax._check.page import page as check_page
-from pitp_jax._commands import outputs
-from pitp_jax._commands.bode_page import bode_page
-from pitp_jax._commands.fit_page import fit_page
-from pitp_jax._commands.predict import score
-from pitp_jax._compare.page import page as compare_page
-from pitp_jax._compare.pairing import pair_records
-from pitp_jax._diagnose.report.page import report
-from pitp_jax._plan.page import page as plan_page
-from pitp_jax._report import html
+from pitp_jax.application.against.result import SimToReal
+from pitp_jax.application.commands import outputs
+from pitp_jax.application.commands.predict import score
+from pitp_jax.application.compare.pairing import pair_records
+from pitp_jax.application.pages import html
+from pitp_jax.application.pages.against import page as against_page
+from pitp_jax.application.pages.bode_page import bode_page
+from pitp_jax.application.pages.check import page as check_page
+from pitp_jax.application.pages.compare import page as compare_page
+from pitp_jax.application.pages.diagnosis.page import report
+from pitp_jax.application.pages.fit_page import fit_page
+from pitp_jax.application.pages.plan import page as plan_page
+from pitp_jax.method.diagnose.joint import Parameter
 
 pytestmark = pytest.mark.browser
 

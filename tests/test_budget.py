@@ -4,7 +4,7 @@ import time
 
 import numpy as np
 
-from pitp_jax._diagnose.budget import Budget
+from pitp_jax.method.diagnose.budget import Budget
 
 
 def test_what_a_budget_does_not_reach_is_noted_once():

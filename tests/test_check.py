@@ -10,10 +10,10 @@ from scipy.signal import lsim
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._check.check import checked
-from pitp_jax._check.one_record import quick_problems
-from pitp_jax._check.page import page
-from pitp_jax._record.remarks import Remark, by_kind
+from pitp_jax.application.check.check import checked
+from pitp_jax.application.check.one_record import quick_problems
+from pitp_jax.application.pages.check import page
+from pitp_jax.files.recordings.remarks import Remark, by_kind
 
 DT, SAMPLES = 2e-3, 3000
 TIME = np.arange(SAMPLES) * DT

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_h5, text
 
-from pitp_jax._record.reading import read
-from pitp_jax._table.names import read_header
-from pitp_jax._table.units import from_base, spelt, to_base
+from pitp_jax.common.units import from_base, spelt, to_base
+from pitp_jax.files.containers.names import read_header
+from pitp_jax.files.recordings.reading import read
 
 
 @pytest.mark.parametrize("unit", ["V", "kV", "mV"])

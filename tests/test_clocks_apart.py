@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.clocks import Fault
+from pitp_jax.method.diagnose.clocks import Fault
 
 TIME = np.arange(500) / 100.0
 

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.signal import lfilter
 
-from pitp_jax._numerics.coloured_noise import block_means, criterion, project, whitener
+from pitp_jax.method.numerics.coloured_noise import block_means, criterion, project, whitener
 
 
 def test_an_autoregression_is_made_white():

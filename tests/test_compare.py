@@ -11,12 +11,12 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax._compare import pair_records
-from pitp_jax._demo import joint
-from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.origin import Origin
-from pitp_jax._report.numbers import number
+from pitp_jax.application.compare.pairing import pair_records
+from pitp_jax.application.demo import joint
+from pitp_jax.common.numbers import number
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.origin import Origin
 
 A = np.array([1.0, 0.05, 1 / 400.0])  # rad s^i / rad: a joint of 3.2 Hz and damping ratio 0.5
 

@@ -12,11 +12,11 @@ from exported import COMPILERS, Exported
 
 import pitp_jax as pitp
 from pitp_jax import BadInput
-from pitp_jax._effects import effect
-from pitp_jax._invert.loop import margins, responding
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax.method.effects import effect
+from pitp_jax.method.invert.loop import margins, responding
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.model import Output, linear_model
 
 pytestmark = pytest.mark.skipif(not COMPILERS, reason="no C compiler")
 TOP, HZ, ZETA, STROKE, DT = 3000.0, 7.0, 0.08, 1e-3, 1e-3

@@ -6,9 +6,9 @@ import pytest
 from scipy.signal import lsim
 
 from pitp_jax import Record
-from pitp_jax._model import FadingMemory, NoMemory
-from pitp_jax._record.preprocess import force_band
-from pitp_jax._train.dataset import build_dataset, spread_weights
+from pitp_jax.method.model.memory import FadingMemory, NoMemory
+from pitp_jax.method.signal.preprocess import force_band
+from pitp_jax.method.train.dataset import build_dataset, spread_weights
 
 DT, SAMPLES = 2e-3, 1500
 TIME = np.arange(SAMPLES) * DT

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._effects import effect
-from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._model.origin import Origin
-from pitp_jax._record.excited import tabulate
-from pitp_jax._record.record import Record
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import frozen_increment, rest_state, rollout
-from pitp_jax._simulate.prediction import initial_samples, outside_fraction, outside_words, predict
+from pitp_jax.method.effects import effect
+from pitp_jax.method.model.encoder import CompactEncoder, PaperEncoder
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.memory import ElapsedTime, FadingMemory
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.signal.excited import tabulate
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import frozen_increment, rest_state, rollout
+from pitp_jax.method.simulate.prediction import initial_samples, outside_fraction, outside_words, predict
 
 DT = 4e-3
 COARSE = 1000 + 800 * np.random.default_rng(5).uniform(-1, 1, 26)  # V, linear between 26 samples

@@ -12,11 +12,11 @@ from scipy.signal import lsim
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._diagnose import diagnosis, handing_back
-from pitp_jax._effects import CATALOGUE, lookup
-from pitp_jax._effects.found_term import TERM
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.origin import Origin
+from pitp_jax.method.diagnose import diagnosis, handing_back
+from pitp_jax.method.effects import CATALOGUE, lookup
+from pitp_jax.method.effects.found_term import TERM
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.origin import Origin
 
 FEW_BUT_FRICTION = [n for n in FEW if n != "coulomb_friction"]
 

@@ -11,11 +11,11 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from typed import untyped
 
-from pitp_jax._effects import effect
-from pitp_jax._invert.discrete import discrete_inverse
-from pitp_jax._model.encoder import AbstractEncoder
-from pitp_jax._model.input_map import LinearInput, SquareInput
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.method.effects import effect
+from pitp_jax.method.invert.discrete import discrete_inverse
+from pitp_jax.method.model.encoder import AbstractEncoder
+from pitp_jax.method.model.input_map import LinearInput, SquareInput
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT, SAMPLES = 1e-3, 200
 HZ = 0.1 / DT / (2 * np.pi)  # the scales' frequency; the model's own is drawn anew each time

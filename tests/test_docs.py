@@ -7,9 +7,9 @@ from pathlib import Path
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._errors import BadInput
-from pitp_jax.cli import _parser
+from pitp_jax.application.commands.main import _parser
+from pitp_jax.common.errors import BadInput
+from pitp_jax.method.effects import CATALOGUE
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = [p for folder in ("pitp_jax", "benchmarks", "experiments", "tests") for p in (ROOT / folder).rglob("*.py")]
@@ -49,7 +49,8 @@ def test_the_readme_begins_with_its_two_commands():
 
 def test_the_page_of_every_room_lists_its_files():
     """Each file of a room stands in the reading order of its README, and nothing else does."""
-    rooms = [room for room in sorted((ROOT / "pitp_jax").glob("_*")) if (room / "__init__.py").is_file()]
+    package = ROOT / "pitp_jax"
+    rooms = [p.parent for p in sorted(package.rglob("__init__.py")) if p.parent != package]
     assert len(rooms) > 20
     for room in rooms:
         text = (room / "README.md").read_text(encoding="utf-8")

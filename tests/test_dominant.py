@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pitp_jax._model.dominant import dominant_frequency
+from pitp_jax.method.model.dominant import dominant_frequency
 
 HZ = 2 * np.pi
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import lsim
 
-from pitp_jax._invert.feedforward_plan import feedforward
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._model.drive import DirectDrive, ElectrodeLag
-from pitp_jax._record.reading import Target
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.common.metrics import e_rms_percent
+from pitp_jax.files.recordings.reading import Target
+from pitp_jax.method.invert.feedforward_plan import feedforward
+from pitp_jax.method.model.drive import DirectDrive, ElectrodeLag
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT = 1e-3
 REST, SETTLED = jnp.asarray(True), jnp.asarray(False)

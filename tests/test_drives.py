@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from pitp_jax import Record
-from pitp_jax._check.one_record import facts
-from pitp_jax._record.excitation import multisine, sine, steps, sweep
-from pitp_jax._record.excitation_kind import kind, loudest, spread_over_kinds
+from pitp_jax.application.check.one_record import facts
+from pitp_jax.application.plan.excitation import multisine, sine, steps, sweep
+from pitp_jax.method.signal.excitation_kind import kind, loudest, spread_over_kinds
 
 DT = 1e-3
 

@@ -12,10 +12,10 @@ from effect_equations import EQUATIONS, Equation
 from jax.flatten_util import ravel_pytree
 from scipy.integrate import solve_ivp
 
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._effects.physical import physical_factor
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rollout, settled_state
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects.physical import physical_factor
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rollout, settled_state
 
 HZ, DT, SAMPLES = 5.0, 1e-3, 640
 TIME = np.arange(SAMPLES) * DT

@@ -13,9 +13,9 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
 import pitp_jax as pitp
-from pitp_jax._effects import CATALOGUE, effect
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.method.effects import CATALOGUE, effect
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 HZ, DT, SAMPLES = 5.0, 2e-3, 2500
 TIME = np.arange(SAMPLES) * DT

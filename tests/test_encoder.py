@@ -6,9 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._model import CompactEncoder, ConstantEncoder, PaperEncoder
-from pitp_jax._model.encoder import fast_memories
-from pitp_jax._model.programs import jit
+from pitp_jax.method.model.encoder import CompactEncoder, ConstantEncoder, PaperEncoder, fast_memories
+from pitp_jax.method.model.programs import jit
 
 KEY = jax.random.key(5)
 ORDERS = (1, 2, 3)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from pitp_jax._diagnose.evidence import evidence, probability
+from pitp_jax.method.diagnose.evidence import evidence, probability
 
 FLOORS = np.full(3, 1e-6)
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from pitp_jax._record.excitation import complex_trajectory, multisine, protocol, sine, steps, sweep, triangle
-from pitp_jax._record.waveforms import smooth_step
+from pitp_jax.application.plan.excitation import complex_trajectory, multisine, protocol, sine, steps, sweep, triangle
+from pitp_jax.application.plan.waveforms import smooth_step
 
 
 def test_sine_is_eq_14():

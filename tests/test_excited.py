@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._model.coverage import input_beyond, input_words, target_beyond, trained_words, with_excited
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.model import Output, linear_model
-from pitp_jax._model.origin import Origin
-from pitp_jax._model_file.parts import describe, origin_of
-from pitp_jax._model_file.plausible import header_problems
-from pitp_jax._record.excited import beyond, tabulate, unexcited
+from pitp_jax.files.model_file.parts import describe, origin_of
+from pitp_jax.files.model_file.plausible import header_problems
+from pitp_jax.method.model.coverage import input_beyond, input_words, target_beyond, trained_words, with_excited
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.model import Output, linear_model
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.signal.excited import beyond, tabulate, unexcited
 
 DT, RESONANCE = 1e-3, 5.0
 TIME = np.arange(10_000) * DT

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pitp_jax._model.expected_error import error_table, expected_error, merged
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.model import linear_model
-from pitp_jax._model.origin import Origin
-from pitp_jax._model_file.parts import describe
-from pitp_jax._model_file.plausible import header_problems
-from pitp_jax._train.cross_validation import HeldOut, with_left_out
+from pitp_jax.files.model_file.parts import describe
+from pitp_jax.files.model_file.plausible import header_problems
+from pitp_jax.method.model.expected_error import error_table, expected_error, merged
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.model import linear_model
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.train.cross_validation import HeldOut, with_left_out
 
 DT = 1e-3
 MODEL = linear_model([1e7, 2e5, 1e4], dt=DT)

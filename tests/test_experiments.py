@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from exported import COMPILERS
 
-from pitp_jax._diagnose import pieces
+from pitp_jax.method.diagnose import pieces
 
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 SCRIPTS = {

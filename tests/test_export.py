@@ -12,20 +12,20 @@ import pytest
 from exported import COMPILERS, FLAGS, Exported, truth
 
 import pitp_jax as pitp
-from pitp_jax._effects import effect, lookup
-from pitp_jax._export import steps
-from pitp_jax._export.c99 import write_sources
-from pitp_jax._export.plan import plan, played
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._model.coordinate import from_model
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import PaperEncoder
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._model.programs import in_double
-from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.files.export import steps
+from pitp_jax.files.export.c99 import write_sources
+from pitp_jax.files.export.plan import plan, played
+from pitp_jax.method.effects import effect, lookup
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.model.coordinate import from_model
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import PaperEncoder
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.model.programs import in_double
+from pitp_jax.method.numerics.spline_derivative import derivatives
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT, COUNT = 1e-3, 1500
 TIME = np.arange(COUNT) * DT

@@ -14,11 +14,11 @@ import pytest
 from scipy.linalg import expm
 
 import pitp_jax as pitp
-from pitp_jax._export import steps
-from pitp_jax._export.plan import plan, played
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax.cli import main
+from pitp_jax.application.commands.main import main
+from pitp_jax.files.export import steps
+from pitp_jax.files.export.plan import plan, played
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.input_map import LinearInput
 
 pytestmark = pytest.mark.skipif(not shutil.which("cc"), reason="no C compiler")
 

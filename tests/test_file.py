@@ -14,19 +14,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from origins import assert_same_origin
 
-from pitp_jax._effects import lookup
-from pitp_jax._effects.effect import Effect
-from pitp_jax._errors import BadInput
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
-from pitp_jax._model.input_map import LinearInput, SquareInput
-from pitp_jax._model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
-from pitp_jax._model.model import Model, Output, Scales
-from pitp_jax._model.origin import OutOfFold
-from pitp_jax._model_file import model_file, parts
-from pitp_jax._record.long_record import LongRecord
+from pitp_jax.common.errors import BadInput
+from pitp_jax.files.model_file import model_file, parts
+from pitp_jax.method.effects import lookup
+from pitp_jax.method.effects.effect import Effect
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.input_map import LinearInput, SquareInput
+from pitp_jax.method.model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from pitp_jax.method.model.model import Model, Output, Scales
+from pitp_jax.method.model.origin import Origin, OutOfFold
+from pitp_jax.method.signal.long_record import LongRecord
 
 KEY = jax.random.key(3)
 SECTIONS = (1.5, 0.1, 20.0, 3e-7, 1 / 3, 1e12)

@@ -9,8 +9,8 @@ import pytest
 
 import pitp_jax as pitp
 from pitp_jax import Fitted, Prediction
-from pitp_jax._commands.fit_page import fit_page, memory_times
-from pitp_jax._commands.predict import score
+from pitp_jax.application.commands.predict import score
+from pitp_jax.application.pages.fit_page import fit_page, memory_times
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,14 @@ from played import DT, TIME, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax._diagnose import fit
-from pitp_jax._diagnose.data import build_case, excitations
-from pitp_jax._diagnose.evidence import probability
-from pitp_jax._diagnose.fit import Fit, Fitter
-from pitp_jax._diagnose.library import INDEX, PLACES, sections, slots_of_row
-from pitp_jax._diagnose.search import Search
-from pitp_jax._effects import lookup
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.method.diagnose import fit
+from pitp_jax.method.diagnose.data import build_case, excitations
+from pitp_jax.method.diagnose.evidence import probability
+from pitp_jax.method.diagnose.fit import Fit, Fitter
+from pitp_jax.method.diagnose.library import INDEX, PLACES, sections, slots_of_row
+from pitp_jax.method.diagnose.search import Search
+from pitp_jax.method.effects import lookup
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 GENT = "stiffening: limited chain, curvature"
 

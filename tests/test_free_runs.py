@@ -7,11 +7,11 @@ import pytest
 from normal import normal_equations
 
 from pitp_jax import records_mesh, rest_state
-from pitp_jax._train import free_run_problem
-from pitp_jax._train.forward_sensitivity import Runs
-from pitp_jax._train.free_run_problem import FreeRuns
-from pitp_jax._train.lower_bound import LowerBound
-from pitp_jax._train.parameters import parameters
+from pitp_jax.method.fit import free_run_problem
+from pitp_jax.method.fit.forward_sensitivity import Runs
+from pitp_jax.method.fit.free_run_problem import FreeRuns
+from pitp_jax.method.fit.lower_bound import LowerBound
+from pitp_jax.method.fit.parameters import parameters
 
 DT, EVERY = 2e-3, 3
 

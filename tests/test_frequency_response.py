@@ -6,14 +6,14 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax._demo.protocol import kind, measure
-from pitp_jax._identify.frequency_fit import fit_response
-from pitp_jax._identify.frequency_response import frequency_response
-from pitp_jax._identify.identification import identify
-from pitp_jax._identify.linear_ode import poles
-from pitp_jax._identify.output_error import build_problem
-from pitp_jax._record.initial_state import Beginning
-from pitp_jax._record.record import Record
+from pitp_jax.application.demo.protocol import kind, measure
+from pitp_jax.method.identify.frequency_fit import fit_response
+from pitp_jax.method.identify.frequency_response import frequency_response
+from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.identify.linear_ode import poles
+from pitp_jax.method.identify.output_error import build_problem
+from pitp_jax.method.signal.initial_state import Beginning
+from pitp_jax.method.signal.record import Record
 
 DT, SAMPLES = 2e-3, 8000
 TIME = np.arange(SAMPLES) * DT

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import pytest
 
 import pitp_jax
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._model.programs import jit
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.model.programs import jit
+from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
 
 PRODUCTS = ("dot_general", "conv_general_dilated")
 
@@ -47,4 +47,4 @@ def test_programs_are_compiled_in_one_place():
     """No `filter_jit` beside the one that sets the precision."""
     package = Path(pitp_jax.__file__).parent
     found = {str(p.relative_to(package)) for p in package.rglob("*.py") if re.search(r"filter_jit\b", p.read_text())}
-    assert found == {"_model/programs.py"}
+    assert found == {"method/model/programs.py"}

@@ -16,14 +16,14 @@ from typed import untyped
 
 import pitp_jax as pitp
 from pitp_jax import excitation
-from pitp_jax._effects import effect
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import AdaptedEncoder, PaperEncoder
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.memory import ElapsedTime
-from pitp_jax._record.record import Record
-from pitp_jax._train.dataset import build_dataset
-from pitp_jax._train.equation_error import loss
+from pitp_jax.method.effects import effect
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import AdaptedEncoder, PaperEncoder
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.train.dataset import build_dataset
+from pitp_jax.method.train.equation_error import loss
 
 DT, HZ = 2e-3, 10.0
 TIME = DT * np.arange(600)

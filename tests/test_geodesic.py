@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pitp_jax._numerics import minimise
-from pitp_jax._numerics.minimise import accelerated
+from pitp_jax.method.fit import minimise
+from pitp_jax.method.fit.minimise import accelerated
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, -0.9, 1.8, 0.7])

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax._commands import diagnose as command
-from pitp_jax._compare.groups import groups_of
+from pitp_jax.application.commands import diagnose as command
+from pitp_jax.application.compare.groups import groups_of
 
 TIME = np.arange(800) / 200
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._errors import BadInput
+from pitp_jax.common.errors import BadInput
 
 RUNS = guard.stored("runs")
 QUICK = ("fading_memory", "spring_and_electrode")

@@ -26,7 +26,8 @@ from record_files import (
     text,
 )
 
-from pitp_jax import cli, read
+from pitp_jax import read
+from pitp_jax.application.commands import main as cli
 
 MEMORY = 100  # MiB: a third of what the bombs hold
 LINUX = pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="the limit is Linux's")

@@ -7,7 +7,7 @@ import pytest
 from record_files import OUTPUT, TIME, VOLTAGE, refused_csv
 
 from pitp_jax import BadInput, read, read_voltage
-from pitp_jax._table.stamps import seconds
+from pitp_jax.files.containers.stamps import seconds
 
 NAMES = "time_s,voltage_V,displacement_mm\n"
 ROWS = [f"{a:.3f},{b:.0f},{c:.6f}" for a, b, c in zip(TIME, VOLTAGE, OUTPUT, strict=True)]

@@ -10,9 +10,9 @@ from scipy.signal import lsim
 from typed import of_kind
 
 from pitp_jax import Record, identify, train
-from pitp_jax._record.initial_state import Beginning
-from pitp_jax._simulate.beginnings import held_states, with_zero_at_rest
-from pitp_jax._train.settings import preset_of
+from pitp_jax.method.signal.initial_state import Beginning
+from pitp_jax.method.simulate.beginnings import held_states, with_zero_at_rest
+from pitp_jax.method.train.settings import preset_of
 
 DT, SAMPLES = 5e-3, 2400
 TIME = np.arange(SAMPLES) * DT

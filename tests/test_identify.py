@@ -10,14 +10,14 @@ from scipy.signal import chirp, cont2discrete, lfilter, lsim
 from typed import of_kind, some
 
 from pitp_jax import BadInput, ComputationFailed, Record, predict
-from pitp_jax._commands.identify import delay_text
-from pitp_jax._identify.beginnings import find_beginnings
-from pitp_jax._identify.candidates import choose
-from pitp_jax._identify.heldout import Candidate, HeldOut
-from pitp_jax._identify.identification import identify
-from pitp_jax._identify.linear_ode import logs_from_roots
-from pitp_jax._identify.output_error import Structure
-from pitp_jax._model.expected_error import expected_error
+from pitp_jax.application.commands.identify import delay_text
+from pitp_jax.method.identify.beginnings import find_beginnings
+from pitp_jax.method.identify.candidates import choose
+from pitp_jax.method.identify.heldout import Candidate, HeldOut
+from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.identify.linear_ode import logs_from_roots
+from pitp_jax.method.identify.output_error import Structure
+from pitp_jax.method.model.expected_error import expected_error
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
 TIME = np.arange(SAMPLES) * DT
@@ -256,7 +256,7 @@ def test_a_wrong_start_from_the_response_does_not_decide_how_a_record_begins(coe
     record = sweep(coefficients(2), 31)
     told, poles, _ = find_beginnings([record], "square")
     wrong = logs_from_roots(np.array([-40.0 + 400.0j, -40.0 - 400.0j]))
-    monkeypatch.setattr("pitp_jax._identify.beginnings._from_response", lambda problem: wrong)
+    monkeypatch.setattr("pitp_jax.method.identify.beginnings._from_response", lambda problem: wrong)
     again, found, _ = find_beginnings([record], "square")
     assert [b.begins for b in again] == [b.begins for b in told]
     np.testing.assert_allclose(some(found), some(poles), rtol=1e-2)

@@ -11,12 +11,12 @@ from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
 import pitp_jax as pitp
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._invert.target import last_digit, without_rounding
-from pitp_jax._model import LinearInput
-from pitp_jax._model.coordinate import Zero
-from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._simulate.decoder import rollout
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.invert.target import last_digit, without_rounding
+from pitp_jax.method.model.coordinate import Zero
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.numerics.spline_derivative import derivatives
+from pitp_jax.method.simulate.decoder import rollout
 
 # ---- eq. 13 ----
 

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from motions import DT
 
-from pitp_jax._effects import effect, lookup
-from pitp_jax._invert.feedforward_plan import feedforward
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._record.reading import Target
-from pitp_jax._record.record import Record
-from pitp_jax._simulate.decoder import rest_state, rollout
-from pitp_jax._simulate.prediction import predict
+from pitp_jax.common.metrics import e_rms_percent
+from pitp_jax.files.recordings.reading import Target
+from pitp_jax.method.effects import effect, lookup
+from pitp_jax.method.invert.feedforward_plan import feedforward
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate.decoder import rest_state, rollout
+from pitp_jax.method.simulate.prediction import predict
 
 TIME = DT * np.arange(2000)
 

@@ -12,18 +12,18 @@ from hypothesis import strategies as st
 from motions import DT, TIME, hump, swing
 from scipy.optimize import lsq_linear, minimize
 
-from pitp_jax._effects import effect
-from pitp_jax._invert import change_programme
-from pitp_jax._invert.change_programme import _Cut, _readings
-from pitp_jax._invert.feedforward_plan import feedforward
-from pitp_jax._invert.limits import travel
-from pitp_jax._invert.nearest_motion import Wish
-from pitp_jax._invert.self_check import play
-from pitp_jax._invert.stage_qp import StageQP, solve_stage_qp
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._record.reading import Target
-from pitp_jax._simulate.decoder import rest_state, rollout
+from pitp_jax.files.recordings.reading import Target
+from pitp_jax.method.effects import effect
+from pitp_jax.method.invert import change_programme
+from pitp_jax.method.invert.change_programme import _Cut, _readings
+from pitp_jax.method.invert.feedforward_plan import feedforward
+from pitp_jax.method.invert.limits import travel
+from pitp_jax.method.invert.nearest_motion import Wish
+from pitp_jax.method.invert.self_check import play
+from pitp_jax.method.invert.stage_qp import StageQP, solve_stage_qp
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 
 def lagging(model, tau=5e-3):
@@ -172,7 +172,7 @@ def test_a_single_time_constant_under_a_limit_is_the_least_squares_of_scipy(line
 @pytest.mark.parametrize("kind", ["hump", "swing"])
 def test_where_no_limit_bites_it_is_eq_13_and_shooting(linear, bounded, monkeypatch, kind):
     """The nearest motion is not asked; of a model that rests at 0 V, as the first sample asks."""
-    monkeypatch.setattr("pitp_jax._invert.voltage.nearest_motion", None)
+    monkeypatch.setattr("pitp_jax.method.invert.voltage.nearest_motion", None)
     model = bounded(linear(2), 0.0, 4000.0, 1e9)
     target = hump() if kind == "hump" else Target(TIME, swing(1e-3, 3e-4, 2.0))
     found = feedforward(model, target)

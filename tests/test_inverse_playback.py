@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from pitp_jax import BadInput, Feedforward, Target, feedforward
-from pitp_jax._invert.lead_in import led_in
-from pitp_jax._invert.limits import Limits
-from pitp_jax._invert.motion import wanted_motion
-from pitp_jax._invert.playback import at_faster_rate
-from pitp_jax._invert.target import at_rate_of_model, at_slower_rate
+from pitp_jax.method.invert.lead_in import led_in
+from pitp_jax.method.invert.limits import Limits
+from pitp_jax.method.invert.motion import wanted_motion
+from pitp_jax.method.invert.playback import at_faster_rate
+from pitp_jax.method.invert.target import at_rate_of_model, at_slower_rate
 
 TIME = -0.3 + 1e-3 * np.arange(1301)
 

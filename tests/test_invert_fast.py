@@ -8,10 +8,12 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pitp_jax._invert.equation import invert_path, scaled_equation
-from pitp_jax._model import ElapsedTime, ElectrodeLag, LinearInput
-from pitp_jax._numerics import spline_derivative
-from pitp_jax._numerics.spline_derivative import derivatives, fast_derivatives, inner, reach
+from pitp_jax.method.invert.equation import invert_path, scaled_equation
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.numerics import spline_derivative
+from pitp_jax.method.numerics.spline_derivative import derivatives, fast_derivatives, inner, reach
 
 DT = 1e-3
 

@@ -7,7 +7,7 @@ import pytest
 from record_files import OUTPUT, TIME, VOLTAGE, T, refused, save_csv, save_npz
 
 from pitp_jax import BadInput, read, read_target
-from pitp_jax._commands.own_command import own_command
+from pitp_jax.application.commands.own_command import own_command
 
 
 def assert_whole(record):

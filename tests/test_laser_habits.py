@@ -8,7 +8,7 @@ import pytest
 from scipy.linalg import expm
 
 import pitp_jax as pitp
-from pitp_jax._record.writing import write_csv
+from pitp_jax.files.recordings.writing import write_csv
 
 DT, SAMPLES, NOISE = 1e-3, 6000, 2e-6
 OMEGA, DAMPING, STIFFNESS = 2 * np.pi * 8.0, 0.08, 1e9

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from pitp_jax._numerics.minimise import Normal, minimise, steps
+from pitp_jax.method.fit.minimise import Normal, minimise, steps
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, np.log(0.4), np.log(6.0), 0.7])

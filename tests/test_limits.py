@@ -6,9 +6,9 @@ from motions import DT, HIGH, SAMPLES, SLEW, TIME, hump, respond, swing, swing_f
 from scipy.signal import lsim
 
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward
-from pitp_jax._invert.advice import on_reach
-from pitp_jax._invert.limits import limits_of
-from pitp_jax._model import LinearInput
+from pitp_jax.method.invert.advice import on_reach
+from pitp_jax.method.invert.limits import limits_of
+from pitp_jax.method.model.input_map import LinearInput
 
 
 def slew_of(found, dt=DT):

@@ -4,7 +4,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pitp_jax._train.lower_bound import UNBOUNDED, LowerBound
+from pitp_jax.method.fit.lower_bound import UNBOUNDED, LowerBound
 
 BOUND = LowerBound(np.array([-6.0, -np.inf, 2.0]))
 numbers = st.lists(st.floats(-30.0, 30.0), min_size=3, max_size=3).map(np.array)

@@ -16,11 +16,11 @@ from cli.cli_cases import DRIVES, TIME, motion, truth, write_record
 from manual_blocks import ROOT, RUN, SHOWN, Block, blocks, commands, pages
 
 import pitp_jax
-from pitp_jax._commands.examples import EXAMPLES
-from pitp_jax._demo import joint
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._model_file import model_file
-from pitp_jax.cli import _parser, main
+from pitp_jax.application.commands.examples import EXAMPLES
+from pitp_jax.application.commands.main import _parser, main
+from pitp_jax.application.demo import joint
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.effects import CATALOGUE
 
 TUTORIALS = ("start", "which_recordings", "my_rig_disagrees", "another_day", "research")
 LONG = ("README.md", *(f"docs/{name}.md" for name in TUTORIALS))

@@ -12,14 +12,14 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import pitp_jax as pitp
-from pitp_jax._against.parameters import Parameter
-from pitp_jax._commands.each import once_per_joint
-from pitp_jax._mjcf.document import Edit, assets, edited, read_document
-from pitp_jax._mjcf.joint import joint_of
-from pitp_jax._mjcf.play import first_state, play
-from pitp_jax._mjcf.verify import Played, Verification
-from pitp_jax._mjcf.write import write_numbers
-from pitp_jax.cli import main
+from pitp_jax.application.commands.each import once_per_joint
+from pitp_jax.application.commands.main import main
+from pitp_jax.files.mjcf.document import Edit, assets, edited, read_document
+from pitp_jax.files.mjcf.joint import joint_of
+from pitp_jax.files.mjcf.play import first_state, play
+from pitp_jax.files.mjcf.verify import Played, Verification
+from pitp_jax.files.mjcf.write import write_numbers
+from pitp_jax.method.diagnose.joint import Parameter
 
 ARM = """<mujoco model='two "links"'>
   <!-- a comment with <joint name="elbow"/> in it -->
@@ -243,7 +243,7 @@ def test_a_gap_that_shrinks_is_told_and_one_that_does_not(tmp_path):
 
 def test_a_held_out_recording_that_the_diagnosis_used_is_refused(tmp_path):
     pytest.importorskip("mujoco")
-    from pitp_jax._model_file.lineage import sums
+    from pitp_jax.method.model.lineage import sums
 
     record = _record(np.zeros(100), np.linspace(0, 1e-3, 100))
     (tmp_path / "q.xml").write_text(f"<!-- {sums([record])[0]['sha256']} -->" + SERVO.format(""))

@@ -23,9 +23,9 @@ def test_what_was_written_down_still_fits():
 
 def test_a_fault_that_no_longer_fits_ends_the_run(monkeypatch, tmp_path):
     place = tmp_path / "faults.json"
-    place.write_text('[{"name": "gone", "file": "pitp_jax/_metrics.py", "edits": [["no such text", ""]]}]')
+    place.write_text('[{"name": "gone", "file": "pitp_jax/common/metrics.py", "edits": [["no such text", ""]]}]')
     monkeypatch.setattr(mutants, "BY_HAND", place)
-    with pytest.raises(SystemExit, match="gone: 0 times in pitp_jax/_metrics.py"):
+    with pytest.raises(SystemExit, match="gone: 0 times in pitp_jax/common/metrics.py"):
         mutants.by_hand(None)
 
 

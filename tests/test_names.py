@@ -7,13 +7,13 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from pitp_jax._diagnose import handing_back, verdict
-from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.evidence import evidence, probability
-from pitp_jax._diagnose.fit import Fit, at
-from pitp_jax._diagnose.gap import explains_most
-from pitp_jax._diagnose.handing_back import surely_improves
-from pitp_jax._diagnose.library import (
+from pitp_jax.method.diagnose import handing_back, verdict
+from pitp_jax.method.diagnose.budget import Budget
+from pitp_jax.method.diagnose.evidence import evidence, probability
+from pitp_jax.method.diagnose.fit import Fit, at
+from pitp_jax.method.diagnose.gap import explains_most
+from pitp_jax.method.diagnose.handing_back import surely_improves
+from pitp_jax.method.diagnose.library import (
     INDEX,
     NAMES,
     OFF,
@@ -26,10 +26,10 @@ from pitp_jax._diagnose.library import (
     named,
     names_of,
 )
-from pitp_jax._diagnose.search import PARAMETERS, Hypothesis, Search, _varied
-from pitp_jax._diagnose.verdict import decide, separable
-from pitp_jax._effects import CATALOGUE, lookup
-from pitp_jax._record.record import Record
+from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search, _varied
+from pitp_jax.method.diagnose.verdict import decide, separable
+from pitp_jax.method.effects import CATALOGUE, lookup
+from pitp_jax.method.signal.record import Record
 
 SCALE = Scale(
     tau=0.02, dt=1e-3, duration=10.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=1.0, acceleration=1.0,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from pitp_jax._numerics.noise_spectrum import band_edges, band_levels
+from pitp_jax.method.numerics.noise_spectrum import band_edges, band_levels
 
 DT, SAMPLES, DRAWS = 2e-3, 20_000, 40
 EDGES = band_edges(int(0.6 * SAMPLES), DT)  # the tail that is looked at

@@ -7,8 +7,8 @@ import pytest
 from scipy.signal import lsim
 
 from pitp_jax import Record, identify
-from pitp_jax._commands import fit
-from pitp_jax._identify.identification import trains_from_order_two
+from pitp_jax.application.commands import fit
+from pitp_jax.method.identify.identification import trains_from_order_two
 
 TIME = np.arange(3000) * 2e-3
 

@@ -5,7 +5,7 @@ import pytest
 from scipy.signal import lfilter
 
 from pitp_jax import read
-from pitp_jax._record.outliers import mask_faults
+from pitp_jax.files.recordings.outliers import mask_faults
 
 DT, COUNT = 1e-3, 8000
 TIME = np.arange(COUNT) * DT

@@ -8,9 +8,9 @@ import pytest
 from test_rest import NOISE, TIME, planted
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.data import build_case
-from pitp_jax._simulate.prediction import begin
-from pitp_jax._train.forward_sensitivity import Runs, run_errors
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.fit.forward_sensitivity import Runs, run_errors
+from pitp_jax.method.simulate.prediction import begin
 
 DRIVES = [1000 + 800 * np.sin(2 * np.pi * f * TIME + f) for f in (2.0, 3.3, 5.1)]
 

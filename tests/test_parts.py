@@ -10,17 +10,17 @@ from diagnosis_cases import part
 from played import nominal_of
 from test_names import SCALE, hypothesis, searched
 
-from pitp_jax._diagnose import parts, result, verdict
-from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.gap import Gap, as_far_as_closed
-from pitp_jax._diagnose.library import INDEX, OFF, Form, slots_of_row
-from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._diagnose.parts import Parts, parts_of
-from pitp_jax._diagnose.report.formatting import parameter_between
-from pitp_jax._diagnose.report.words import certainty, lines, part_lines
-from pitp_jax._diagnose.search import PARAMETERS
-from pitp_jax._diagnose.verdict import decide
-from pitp_jax._effects import CATALOGUE, lookup
+from pitp_jax.application.pages.diagnosis.formatting import parameter_between
+from pitp_jax.application.pages.diagnosis.words import certainty, lines, part_lines
+from pitp_jax.method.diagnose import parts, result, verdict
+from pitp_jax.method.diagnose.budget import Budget
+from pitp_jax.method.diagnose.gap import Gap, as_far_as_closed
+from pitp_jax.method.diagnose.library import INDEX, OFF, Form, slots_of_row
+from pitp_jax.method.diagnose.next_experiment import Experiment
+from pitp_jax.method.diagnose.parts import Parts, parts_of
+from pitp_jax.method.diagnose.search import PARAMETERS
+from pitp_jax.method.diagnose.verdict import decide
+from pitp_jax.method.effects import CATALOGUE, lookup
 
 CREEP, CLIP = lookup("creep", "one branch"), lookup("voltage_clip", "hard")
 KAPPA, TAU = slots_of_row(CREEP)

@@ -5,7 +5,7 @@ import pytest
 from played import nominal_of
 
 import pitp_jax as pitp
-from pitp_jax._diagnose import data, pieces
+from pitp_jax.method.diagnose import data, pieces
 
 RATE = 200.0
 

@@ -13,19 +13,19 @@ from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
 from pitp_jax import rest_state
-from pitp_jax._commands.plan import _sorted
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.origin import Origin
-from pitp_jax._plan import scaled_to_limits, strokes
-from pitp_jax._plan.expected_error import knowledge, motions
-from pitp_jax._plan.information import choose, gains, variance
-from pitp_jax._plan.next_recordings import greedy
-from pitp_jax._plan.page import page
-from pitp_jax._record.excited import tabulate
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rollout
-from pitp_jax._train.parameters import parameters, with_parameters
-from pitp_jax.cli import main
+from pitp_jax.application.commands.main import main
+from pitp_jax.application.commands.plan import _sorted
+from pitp_jax.application.pages.plan import page
+from pitp_jax.application.plan.expected_error import knowledge, motions
+from pitp_jax.application.plan.information import choose, gains, variance
+from pitp_jax.application.plan.next_recordings import greedy
+from pitp_jax.application.plan.strokes import scaled_to_limits, strokes
+from pitp_jax.method.fit.parameters import parameters, with_parameters
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.signal.excited import tabulate
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rollout
 
 STILL = pitp.Record("still", np.arange(600) * 5e-3, np.zeros(600), np.linspace(0, 1, 600))
 RIG = {"max_voltage": 6000.0, "band": (1.0, 10.0), "rate": 200.0}

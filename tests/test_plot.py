@@ -8,8 +8,8 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 from typed import some
 
-from pitp_jax._report import paper_figures as plot
-from pitp_jax._report.lines import BINS, envelope, error_shown, extremes, over, some_periods, thin
+from pitp_jax.application.pages import paper_figures as plot
+from pitp_jax.application.pages.lines import BINS, envelope, error_shown, extremes, over, some_periods, thin
 
 T = np.arange(500) / 1e3
 X = 1e-3 * np.sin(2 * np.pi * 5 * T)

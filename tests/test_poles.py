@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
-from pitp_jax._identify.linear_ode import (
+from pitp_jax.method.identify.linear_ode import (
     coast,
     logs_from_roots,
     no_faster,

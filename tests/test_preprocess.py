@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import butter, sosfreqz
 
 from pitp_jax import BadInput, Record
-from pitp_jax._record.derivative import central, stencil
-from pitp_jax._record.preprocess import cutoff, edge_samples, force_band, preprocess, stretches
+from pitp_jax.method.signal.derivative import central, stencil
+from pitp_jax.method.signal.preprocess import cutoff, edge_samples, force_band, preprocess, stretches
 
 FS = 1000.0
 

@@ -10,16 +10,17 @@ import pytest
 from origins import assert_same_origin
 
 import pitp_jax as pitp
-from pitp_jax._invert.equation import invert_path, scaled_equation
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.model import Output, Scales
-from pitp_jax._model.sections import sections_of
-from pitp_jax._record.record import Record
-from pitp_jax._simulate import decoder
-from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rest_state, rollout_batch
-from pitp_jax._train.parameters import parameters
+from pitp_jax.method.fit.parameters import parameters
+from pitp_jax.method.invert.equation import invert_path, scaled_equation
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.model import Output, Scales
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.model.sections import sections_of
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate import decoder
+from pitp_jax.method.simulate.batched_rollout import fast_rollout
+from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
 
 FILES, DT = Path(__file__).parent / "files", 2e-3
 TIME = DT * np.arange(600)

@@ -14,9 +14,9 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax._model.fitted import fitted_of, model_of
-from pitp_jax._record.writing import write_csv
-from pitp_jax._simulate.decoder import rollout_batch
+from pitp_jax.files.recordings.writing import write_csv
+from pitp_jax.method.model.fitted import fitted_of, model_of
+from pitp_jax.method.simulate.decoder import rollout_batch
 
 TIME = np.arange(2000) / 1000
 

@@ -18,7 +18,7 @@ from record_files import (
 )
 
 from pitp_jax import BadInput, Record, Target, read, read_target, read_voltage
-from pitp_jax._record.sets import session_clock
+from pitp_jax.method.signal.sets import session_clock
 
 
 @pytest.mark.parametrize("count", [0, 1, 5, 63])

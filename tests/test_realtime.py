@@ -9,10 +9,11 @@ import numpy as np
 import pytest
 
 from pitp_jax import BadInput, Record, decoder_step, inverse_step, predict, rest_state, restore_step
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._model import ElapsedTime, ElectrodeLag
-from pitp_jax._numerics.spline_derivative import derivatives
-from pitp_jax._simulate.decoder import rollout
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.numerics.spline_derivative import derivatives
+from pitp_jax.method.simulate.decoder import rollout
 
 DT = 1e-3
 

@@ -6,12 +6,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax._numerics import linear_recurrence
-from pitp_jax._numerics.linear_recurrence import (
-    first_order_lags,
-    lag_after,
-    oscillator,
-)
+from pitp_jax.method.numerics import linear_recurrence
+from pitp_jax.method.numerics.linear_recurrence import first_order_lags, lag_after, oscillator
 
 
 @pytest.mark.parametrize("steps", [1, 2, 3, 17, 400])

@@ -10,12 +10,12 @@ from scipy.signal import lsim
 
 import pitp_jax
 from pitp_jax import Record
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.input_map import LinearInput, SquareInput
-from pitp_jax._model.model import Output, linear_model
-from pitp_jax._model.substeps import substeps
-from pitp_jax._record.reduced import averaged, reduce_rate
+from pitp_jax.common.metrics import e_rms_percent
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.input_map import LinearInput, SquareInput
+from pitp_jax.method.model.model import Output, linear_model
+from pitp_jax.method.model.substeps import substeps
+from pitp_jax.method.signal.reduced import averaged, reduce_rate
 
 HZ, RATE = 18.0, 10_000.0
 OMEGA = 2 * np.pi * HZ
@@ -95,10 +95,10 @@ def test_a_block_of_which_half_is_missing_is_missing():
 
 
 def test_no_other_room_averages_samples():
-    """Nor resamples them: the room of the records does, with blocks of statistics as the one other place."""
+    """Nor resamples them: the room of the signals does."""
     root, ways = Path(pitp_jax.__file__).parent, r"resample_poly|decimate\(|\.reshape\([^()]*\)\.(nan)?mean\(1\)"
-    found = {p.relative_to(root).parts[0] for p in root.rglob("*.py") if re.search(ways, p.read_text(encoding="utf-8"))}
-    assert found == {"_record"}
+    found = {p.parent.relative_to(root).as_posix() for p in root.rglob("*.py") if re.search(ways, p.read_text("utf-8"))}
+    assert found == {"method/signal"}
 
 
 def test_a_mean_stands_in_the_middle_of_its_block():

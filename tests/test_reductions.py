@@ -123,7 +123,7 @@ def test_the_search_finds_the_reductions():
     """At least the residual's own product, a matrix product of the inverse and the slopes' sum."""
     found = set(search())
     assert {form for _, form in found} >= {"@", "sum", "einsum ks,ksm->km", "tensordot"}
-    assert any(place.startswith("_effects/effect.py") for place, _ in found)
+    assert any(place.startswith("method/effects/effect.py") for place, _ in found)
 
 
 if __name__ == "__main__":

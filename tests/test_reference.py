@@ -5,12 +5,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pitp_jax._diagnose import reference
-from pitp_jax._diagnose.data import Case, Series, _folds
-from pitp_jax._diagnose.evidence import evidence
-from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.search import Hypothesis
-from pitp_jax._record.record import Record
+from pitp_jax.method.diagnose import reference
+from pitp_jax.method.diagnose.data import Case, Series, _folds
+from pitp_jax.method.diagnose.evidence import evidence
+from pitp_jax.method.diagnose.fit import Fit
+from pitp_jax.method.diagnose.search import Hypothesis
+from pitp_jax.method.signal.record import Record
 
 COLUMNS = 5
 

@@ -10,21 +10,21 @@ import numpy as np
 import pytest
 from typed import of_kind
 
-from pitp_jax._errors import ComputationFailed
-from pitp_jax._metrics import e_rms_percent
-from pitp_jax._model.constants import constant_array
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._model.memory import FadingMemory
-from pitp_jax._record.record import Record
-from pitp_jax._simulate.decoder import at_rest, rest_state, rollout, rollout_batch
-from pitp_jax._simulate.prediction import predict
-from pitp_jax._train import refine as refining
-from pitp_jax._train.dataset import build_dataset
-from pitp_jax._train.lower_bound import UNBOUNDED
-from pitp_jax._train.parameters import parameters
-from pitp_jax._train.refine import lower_bound, refine
-from pitp_jax._train.shapes import Shapes
+from pitp_jax.common.errors import ComputationFailed
+from pitp_jax.common.metrics import e_rms_percent
+from pitp_jax.method.fit.lower_bound import UNBOUNDED
+from pitp_jax.method.fit.parameters import parameters
+from pitp_jax.method.model.constants import constant_array
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.model.memory import FadingMemory
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate.decoder import at_rest, rest_state, rollout, rollout_batch
+from pitp_jax.method.simulate.prediction import predict
+from pitp_jax.method.train import refine as refining
+from pitp_jax.method.train.dataset import build_dataset
+from pitp_jax.method.train.refine import lower_bound, refine
+from pitp_jax.method.train.shapes import Shapes
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
 TIME = np.arange(SAMPLES) * DT

@@ -6,10 +6,10 @@ from scipy.signal import chirp, cont2discrete, lfilter, lsim
 from typed import of_kind
 
 from pitp_jax import ComputationFailed, Record
-from pitp_jax._identify import identification
-from pitp_jax._identify.identification import identify
-from pitp_jax._identify.linear_ode import bounded_response
-from pitp_jax._identify.output_error import Problem
+from pitp_jax.method.identify import identification
+from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.identify.linear_ode import bounded_response
+from pitp_jax.method.identify.output_error import Problem
 
 DT, SAMPLES = 5e-3, 4000
 TIME = np.arange(SAMPLES) * DT

@@ -10,12 +10,12 @@ import pytest
 from diagnosis_cases import budget, candidate, no_gap, part, tied
 from matplotlib import rcParams
 
-from pitp_jax._diagnose import rules
-from pitp_jax._diagnose.parts import Parts
-from pitp_jax._diagnose.pieces import Piece
-from pitp_jax._diagnose.report import figures, formatting
-from pitp_jax._diagnose.report.page import report
-from pitp_jax._table.quantity import Units
+from pitp_jax.application.pages.diagnosis import figures, formatting
+from pitp_jax.application.pages.diagnosis.page import report
+from pitp_jax.common.quantity import Units
+from pitp_jax.method.diagnose import rules
+from pitp_jax.method.diagnose.parts import Parts
+from pitp_jax.method.diagnose.pieces import Piece
 
 
 class Page(HTMLParser):

@@ -9,12 +9,12 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from typed import of_kind
 
-from pitp_jax._diagnose.report import figures, formatting, gap_figure
-from pitp_jax._diagnose.report.answers import next_step, verdict_text
-from pitp_jax._diagnose.report.page import report
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._model import Origin
-from pitp_jax._report import numbers
+from pitp_jax.application.pages.diagnosis import figures, formatting, gap_figure
+from pitp_jax.application.pages.diagnosis.answers import next_step, verdict_text
+from pitp_jax.application.pages.diagnosis.page import report
+from pitp_jax.common import numbers
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.model.origin import Origin
 
 
 def test_a_line_in_every_recording_is_a_disturbance(unknown):

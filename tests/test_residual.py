@@ -9,9 +9,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pitp_jax import Model
-from pitp_jax._model.equation import equation_force
-from pitp_jax._model.positive import logit_of, positive_factor
-from pitp_jax._train.equation_error import EquationData, huber, loss
+from pitp_jax.method.model.equation import equation_force
+from pitp_jax.method.model.positive import logit_of, positive_factor
+from pitp_jax.method.train.equation_error import EquationData, huber, loss
 
 KEY = jax.random.key(1)
 BOX = (jnp.float32(0.8), jnp.float32(1.2))

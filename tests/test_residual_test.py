@@ -8,7 +8,7 @@ from scipy.signal import StateSpace, lfilter, lsim
 from typed import of_kind, some
 
 from pitp_jax import BadInput, Record
-from pitp_jax._identify.identification import identify
+from pitp_jax.method.identify.identification import identify
 
 DT, SAMPLES = 2e-3, 6000
 TIME = np.arange(SAMPLES) * DT

@@ -11,11 +11,11 @@ from typed import of_kind
 
 import pitp_jax
 from pitp_jax import Record
-from pitp_jax._identify.beginnings import find_beginnings
-from pitp_jax._identify.identification import identify
-from pitp_jax._record.initial_state import first_known, level_groups, noise_std, rest_level, standing_drive
-from pitp_jax._record.start import Response, estimate_start, first_part
-from pitp_jax._simulate.beginnings import beginnings
+from pitp_jax.method.identify.beginnings import find_beginnings
+from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.signal.initial_state import first_known, level_groups, noise_std, rest_level, standing_drive
+from pitp_jax.method.signal.start import Response, estimate_start, first_part
+from pitp_jax.method.simulate.beginnings import beginnings
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT
@@ -395,5 +395,5 @@ def test_one_function_decides_how_a_record_starts():
     for path in package.rglob("*.py"):
         for name in re.findall(r"(?<!def )\b(estimate_start|standing_drive)\(", path.read_text(encoding="utf-8")):
             users.setdefault(name, set()).add(path.relative_to(package).as_posix())
-    assert users["estimate_start"] == {"_identify/beginnings.py", "_simulate/beginnings.py"}
-    assert users["standing_drive"] == {"_record/start.py"}
+    assert users["estimate_start"] == {"method/identify/beginnings.py", "method/simulate/beginnings.py"}
+    assert users["standing_drive"] == {"method/signal/start.py"}

@@ -7,12 +7,12 @@ from scipy.integrate import solve_ivp
 from typed import some
 
 from pitp_jax import Settings, identify, predict, train
-from pitp_jax._metrics import rmse
-from pitp_jax._model.memory import FadingMemory, RingingMemory
-from pitp_jax._record.preprocess import cutoff, force_band, preprocess
-from pitp_jax._record.record import Record
-from pitp_jax._train.second_resonance import second_mass
-from pitp_jax._train.settings import memory_of
+from pitp_jax.common.metrics import rmse
+from pitp_jax.method.model.memory import FadingMemory, RingingMemory
+from pitp_jax.method.signal.preprocess import cutoff, force_band, preprocess
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.train.second_resonance import second_mass
+from pitp_jax.method.train.settings import memory_of
 
 DT, OMEGA, SECOND, SHARE = 2e-3, 2 * np.pi * 7.0, 2 * np.pi * 11.0, 0.2
 LAGS = np.array([0.05, 0.5])

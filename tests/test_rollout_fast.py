@@ -8,9 +8,11 @@ import pytest
 from typed import untyped
 
 from pitp_jax import rest_state
-from pitp_jax._model import ElapsedTime, ElectrodeLag, PaperEncoder
-from pitp_jax._simulate.batched_rollout import fast_rollout, rows_rollout, steps_at_once
-from pitp_jax._simulate.decoder import rollout, rollout_batch
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.encoder import PaperEncoder
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.simulate.batched_rollout import fast_rollout, rows_rollout, steps_at_once
+from pitp_jax.method.simulate.decoder import rollout, rollout_batch
 
 DT, SAMPLES = 1e-3, 250
 
@@ -62,7 +64,7 @@ def test_many_substeps_are_the_same_steps(nonlinear, monkeypatch):
     model = nonlinear(2, substeps=6)
     volts, start = runs(model, 1)
     scanned = rollout(model, volts[0], DT, start[0])
-    monkeypatch.setattr("pitp_jax._simulate.decoder.UNROLLED", 6)
+    monkeypatch.setattr("pitp_jax.method.simulate.decoder.UNROLLED", 6)
     np.testing.assert_allclose(scanned, rollout(model, volts[0], DT, start[0]), rtol=0, atol=1e-5)
 
 
@@ -83,5 +85,5 @@ def test_what_is_not_written_out_takes_the_plain_way(linear, monkeypatch, part):
     other = {"effects": (jnp.ones(()),), "encoder": PaperEncoder(2, 3, key=jax.random.key(0))}[part]
     model = eqx.tree_at(lambda m: getattr(m, part), linear(2), other)
     plain = jnp.zeros((*volts.shape, start.shape[1]))
-    monkeypatch.setattr("pitp_jax._simulate.batched_rollout.rollout_batch", lambda *_: plain)
+    monkeypatch.setattr("pitp_jax.method.simulate.batched_rollout.rollout_batch", lambda *_: plain)
     assert untyped(fast_rollout).__wrapped__(model, volts, DT, start) is plain

@@ -25,7 +25,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 import pitp_jax as pitp
-from pitp_jax._effects import effect
+from pitp_jax.method.effects import effect
 
 SAMPLES, HIGH, TRAVEL = 400, 1e3, 1e-3  # V, m
 EDGE = 40  # samples at both ends, where the spline's boundary conditions show

@@ -6,18 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from pitp_jax._model import (
-    AbstractEncoder,
-    CompactEncoder,
-    ConstantEncoder,
-    ElapsedTime,
-    FadingMemory,
-    NoMemory,
-    PaperEncoder,
-    RingingMemory,
-)
-from pitp_jax._model.positive import positive_factor
-from pitp_jax._model.relu_tables import tables
+from pitp_jax.method.model.encoder import AbstractEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from pitp_jax.method.model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from pitp_jax.method.model.positive import positive_factor
+from pitp_jax.method.model.relu_tables import tables
 
 RINGING = RingingMemory(jnp.array(1.5), jnp.array(-2.0), jnp.array([-1.0, 0.5]))
 

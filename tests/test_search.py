@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 from played import nominal_of, play
 
-from pitp_jax._diagnose import diagnosis
-from pitp_jax._diagnose.budget import Budget
-from pitp_jax._diagnose.data import build_case, excitations
-from pitp_jax._diagnose.evidence import evidence
-from pitp_jax._diagnose.fit import Fit
-from pitp_jax._diagnose.search import Hypothesis, Search
+from pitp_jax.method.diagnose import diagnosis
+from pitp_jax.method.diagnose.budget import Budget
+from pitp_jax.method.diagnose.data import build_case, excitations
+from pitp_jax.method.diagnose.evidence import evidence
+from pitp_jax.method.diagnose.fit import Fit
+from pitp_jax.method.diagnose.search import Hypothesis, Search
 
 SAMPLES = 1000
 

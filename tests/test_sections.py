@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pitp_jax._model.sections import product, sections_of
+from pitp_jax.method.model.sections import product, sections_of
 
 ORDERS = (3, 4, 5, 6)
 

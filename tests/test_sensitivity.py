@@ -10,14 +10,14 @@ import pytest
 from normal import normal_equations
 from typed import of_kind
 
-from pitp_jax._effects import effect
-from pitp_jax._model.drive import DirectDrive, ElectrodeLag
-from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._model.memory import FadingMemory, NoMemory
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
-from pitp_jax._train.forward_sensitivity import Runs
-from pitp_jax._train.parameters import parameters, trainable, with_parameters
+from pitp_jax.method.effects import effect
+from pitp_jax.method.fit.forward_sensitivity import Runs
+from pitp_jax.method.fit.parameters import parameters, trainable, with_parameters
+from pitp_jax.method.model.drive import DirectDrive, ElectrodeLag
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.model.memory import FadingMemory, NoMemory
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT, SAMPLES = 2e-3, 48
 CASES = [(2, 1, "foh"), (2, 1, "zoh"), (3, 2, "foh")]

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.data import build_case
-from pitp_jax._effects import lookup
-from pitp_jax._errors import BadInput
-from pitp_jax._record.sets import alike, check_set, clock_start
+from pitp_jax.common.errors import BadInput
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.effects import lookup
+from pitp_jax.method.signal.sets import alike, check_set, clock_start
 
 DT, SAMPLES, EPOCH = 2e-3, 800, 1.7e9
 TIME = np.arange(SAMPLES) * DT

@@ -14,7 +14,7 @@ import pytest
 from typed import some
 
 from pitp_jax import BadInput, records_mesh, rest_state, rollout_scaled, sharded_inverse, sharded_rollout
-from pitp_jax._sharding import local_rows, spread
+from pitp_jax.method.simulate.devices import local_rows, spread
 
 WORKER = Path(__file__).with_name("shard_worker.py")
 PARTS = {"rollout", "inverse", "slopes"}

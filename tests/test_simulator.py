@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
-from pitp_jax._diagnose.clocks import Fault
-from pitp_jax._diagnose.library import (
+from pitp_jax.method.diagnose.clocks import Fault
+from pitp_jax.method.diagnose.library import (  # fmt: skip
     AHEAD,
     FAULTS,
     INDEX,
@@ -26,12 +26,12 @@ from pitp_jax._diagnose.library import (
     model_of,
     rates_of,
     slots_of,
-)  # fmt: skip
-from pitp_jax._diagnose.simulator import Drive, Simulator, step_response
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._record.record import Record
-from pitp_jax._simulate import ports
-from pitp_jax._simulate.decoder import rest_state, rollout
+)
+from pitp_jax.method.diagnose.simulator import Drive, Simulator, step_response
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT, SAMPLES = 2e-3, 2000
 TIME = np.arange(SAMPLES) * DT

@@ -9,18 +9,18 @@ import pytest
 from scipy.signal import StateSpace, lsim
 from typed import some
 
-from pitp_jax._identify.identification import identify
-from pitp_jax._model.memory import FadingMemory
-from pitp_jax._model_file.model_file import load, save
-from pitp_jax._record import long_record
-from pitp_jax._record.long_record import thinned
-from pitp_jax._record.record import Record
-from pitp_jax._simulate.prediction import predict
-from pitp_jax._train import creep_balance
-from pitp_jax._train.dataset import build_dataset
-from pitp_jax._train.parameters import parameters, with_parameters
-from pitp_jax._train.settings import PRESETS, with_encoder
-from pitp_jax._train.training import _prepared, train
+from pitp_jax.files.model_file.model_file import load, save
+from pitp_jax.method.fit.parameters import parameters, with_parameters
+from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.model.memory import FadingMemory
+from pitp_jax.method.signal import long_record
+from pitp_jax.method.signal.long_record import thinned
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate.prediction import predict
+from pitp_jax.method.train import creep_balance
+from pitp_jax.method.train.dataset import build_dataset
+from pitp_jax.method.train.settings import PRESETS, with_encoder
+from pitp_jax.method.train.training import _prepared, train
 
 DT, OMEGA, TAU, SHARE = 0.02, 2 * np.pi, 15.0, 0.5  # s, rad/s, s; creep's share of the stiffness
 

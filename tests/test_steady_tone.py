@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from played import DT, SAMPLES, TIME
 
-from pitp_jax._diagnose.steady_tone import steady_tone
-from pitp_jax._record.record import Record
-from pitp_jax._record.repeatability import _period
+from pitp_jax.application.check.repeatability import _period
+from pitp_jax.method.diagnose.steady_tone import steady_tone
+from pitp_jax.method.signal.record import Record
 
 HUM = 17.3
 

@@ -8,9 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pitp_jax import BadInput, Model, invert_stream
-from pitp_jax._invert.equation import invert_path
-from pitp_jax._model import ElapsedTime, ElectrodeLag
-from pitp_jax._numerics.spline_derivative import derivatives
+from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.model.drive import ElectrodeLag
+from pitp_jax.method.model.memory import ElapsedTime
+from pitp_jax.method.numerics.spline_derivative import derivatives
 
 DT = 1e-3
 

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.search import Search
-from pitp_jax._model import CompactEncoder
-from pitp_jax._model.fitted import model_of
-from pitp_jax._record.excited import distinct
-from pitp_jax._structure.choice import STRUCTURES, Fitting, best_structure, choose, impose
-from pitp_jax._structure.left_out import folds_of, with_stand_ins
-from pitp_jax._structure.physical import as_training
-from pitp_jax._train.errors import Score
+from pitp_jax.method.diagnose.search import Search
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.model.fitted import model_of
+from pitp_jax.method.signal.excited import distinct
+from pitp_jax.method.structure.choice import STRUCTURES, Fitting, best_structure, choose, impose
+from pitp_jax.method.structure.left_out import folds_of, with_stand_ins
+from pitp_jax.method.structure.physical import as_training
+from pitp_jax.method.train.errors import Score
 
 KEY = jax.random.key(3)
 DT = 2e-3
@@ -120,8 +120,8 @@ def fitting(monkeypatch):
     def train(start, some, *, settings, **how):
         return as_training(model_of(start), start, some, 0.0)  # the search must not end at this time
 
-    monkeypatch.setattr("pitp_jax._structure.left_out.train", train)
-    monkeypatch.setattr("pitp_jax._structure.choice.train", train)
+    monkeypatch.setattr("pitp_jax.method.structure.left_out.train", train)
+    monkeypatch.setattr("pitp_jax.method.structure.choice.train", train)
     how = Fitting(nominal(records), nominal, pitp.Settings(), KEY)
     return how, records, train(how.nominal, records, settings=None)
 
@@ -153,9 +153,9 @@ def test_networks_beside_effects_are_tried_only_where_these_help(actuator, monke
         return {s: [Score(errors[s], ())] * len(records) for s in structures}
 
     chosen = pitp.Training(pitp.Fitted(actuator), (), False)
-    monkeypatch.setattr("pitp_jax._structure.choice.errors_left_out", left_out)
-    monkeypatch.setattr("pitp_jax._structure.choice.find_physical", lambda *_: None)
-    monkeypatch.setattr("pitp_jax._structure.choice.errors", lambda model, records: np.zeros(len(records)))
+    monkeypatch.setattr("pitp_jax.method.structure.choice.errors_left_out", left_out)
+    monkeypatch.setattr("pitp_jax.method.structure.choice.find_physical", lambda *_: None)
+    monkeypatch.setattr("pitp_jax.method.structure.choice.errors", lambda model, records: np.zeros(len(records)))
     records = [pitp.Record(f"{hz}", TIME, sine(hz), 1e-3 * sine(hz)) for hz in (1.0, 2.0, 4.0)]
     found = choose(Fitting(actuator, lambda some: actuator, pitp.Settings(), KEY), records, chosen)
     assert asked == tried == [*found.errors]

@@ -14,11 +14,11 @@ from hypothesis import strategies as st
 from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_xlsx, text
 
 import pitp_jax as pitp
-from pitp_jax._errors import BadInput
-from pitp_jax._record import read
-from pitp_jax._table.names import read_header
-from pitp_jax._table.options import folder_file
-from pitp_jax._table.units import INPUT_UNITS, TIME_UNITS, base_unit, column_name, from_base, spelt, to_base
+from pitp_jax.common.errors import BadInput
+from pitp_jax.common.units import INPUT_UNITS, TIME_UNITS, base_unit, column_name, from_base, spelt, to_base
+from pitp_jax.files.containers.names import read_header
+from pitp_jax.files.containers.options import folder_file
+from pitp_jax.files.recordings.reading import read
 
 QUIET = settings(max_examples=20, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 FEW = settings(QUIET, max_examples=8)

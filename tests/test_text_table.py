@@ -13,7 +13,7 @@ from record_files import (
 )
 
 from pitp_jax import read
-from pitp_jax._table.header import is_number
+from pitp_jax.files.containers.header import is_number
 
 
 @pytest.mark.parametrize(

@@ -10,23 +10,23 @@ import pytest
 from scipy.integrate import solve_ivp
 from typed import of_kind, untyped
 
-from pitp_jax._effects import effect
-from pitp_jax._errors import BadInput, ComputationFailed
-from pitp_jax._metrics import e_rms_percent, rmse
-from pitp_jax._model.drive import DirectDrive, ElectrodeLag
-from pitp_jax._model.encoder import CompactEncoder, PaperEncoder
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.memory import ElapsedTime, FadingMemory
-from pitp_jax._model.substeps import substeps
-from pitp_jax._record.record import Record
-from pitp_jax._sharding import records_mesh
-from pitp_jax._simulate.prediction import at_rate, predict
-from pitp_jax._train import training
-from pitp_jax._train.cross_validation import cross_validate
-from pitp_jax._train.dataset import build_dataset
-from pitp_jax._train.refine import refine
-from pitp_jax._train.settings import PRESETS, Settings, firmness_of, with_encoder, with_parts
-from pitp_jax._train.training import train
+from pitp_jax.common.errors import BadInput, ComputationFailed
+from pitp_jax.common.metrics import e_rms_percent, rmse
+from pitp_jax.method.effects import effect
+from pitp_jax.method.model.drive import DirectDrive, ElectrodeLag
+from pitp_jax.method.model.encoder import CompactEncoder, PaperEncoder
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.memory import ElapsedTime, FadingMemory
+from pitp_jax.method.model.substeps import substeps
+from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate.devices import records_mesh
+from pitp_jax.method.simulate.prediction import at_rate, predict
+from pitp_jax.method.train import training
+from pitp_jax.method.train.cross_validation import cross_validate
+from pitp_jax.method.train.dataset import build_dataset
+from pitp_jax.method.train.refine import refine
+from pitp_jax.method.train.settings import PRESETS, Settings, firmness_of, with_encoder, with_parts
+from pitp_jax.method.train.training import train
 
 DT, SAMPLES = 2e-3, 1000
 TIME = np.arange(SAMPLES) * DT

@@ -5,8 +5,8 @@ import pytest
 from scipy.signal import lsim
 
 from pitp_jax import Record
-from pitp_jax._train import errors as judging
-from pitp_jax._train.errors import Candidate, Judge, kept
+from pitp_jax.method.train import errors as judging
+from pitp_jax.method.train.errors import Candidate, Judge, kept
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from pitp_jax import BadInput, pi_trim, plant, simulate, stepper
-from pitp_jax._invert.pi_control import KV_PER_MM
-from pitp_jax._model import SquareInput
+from pitp_jax.method.invert.pi_control import KV_PER_MM
+from pitp_jax.method.model.input_map import SquareInput
 
 POLE, GAIN, DT = 0.9, 2e-7, 1e-3  # x' = POLE x + GAIN u + load
 

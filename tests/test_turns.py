@@ -5,9 +5,8 @@ import pytest
 from record_files import save_csv
 from scipy.signal import lsim
 
-from pitp_jax._record import read
-from pitp_jax._record.reading import read_target
-from pitp_jax._record.turns import unwrap
+from pitp_jax.files.recordings.reading import read, read_target
+from pitp_jax.files.recordings.turns import unwrap
 
 RATE = 100
 TIME = np.arange(0, 10, 1 / RATE)

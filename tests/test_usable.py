@@ -9,18 +9,18 @@ from played import SAMPLES, TIME, nominal_of, play
 from scipy.signal import lfilter
 
 import pitp_jax as pitp
-from pitp_jax._diagnose.data import build_case
-from pitp_jax._diagnose.library import DELAY, INDEX
-from pitp_jax._diagnose.next_experiment import excitations, separate
-from pitp_jax._diagnose.search import PARAMETERS, Search
-from pitp_jax._diagnose.select_records import usable
-from pitp_jax._effects import CATALOGUE
-from pitp_jax._errors import BadInput
-from pitp_jax._model.fitted import Fitted
-from pitp_jax._model.origin import Origin
-from pitp_jax._model_file import descended, load, save
-from pitp_jax._model_file.lineage import was_made_from
-from pitp_jax._record.excitation_kind import kind
+from pitp_jax.common.errors import BadInput
+from pitp_jax.files.model_file.model_file import load, save
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.diagnose.library import DELAY, INDEX
+from pitp_jax.method.diagnose.next_experiment import excitations, separate
+from pitp_jax.method.diagnose.search import PARAMETERS, Search
+from pitp_jax.method.diagnose.select_records import usable
+from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.lineage import descended, was_made_from
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.signal.excitation_kind import kind
 
 DRAG = "drag: quadratic, c"
 OTHERS = sorted({c.name for c in CATALOGUE} - {"drag"})

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from played import SAMPLES, TIME, nominal_of, play
 
-from pitp_jax._diagnose.data import build_case
-from pitp_jax._diagnose.search import Search
-from pitp_jax._diagnose.where import locate, motions, windows
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.diagnose.search import Search
+from pitp_jax.method.diagnose.where import locate, motions, windows
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from pitp_jax import BadInput, read
-from pitp_jax._record.writing import write_bytes_atomic, write_csv, write_text_atomic
+from pitp_jax.files.recordings.writing import write_bytes_atomic, write_csv, write_text_atomic
 
 VALUES = st.floats(-1e6, 1e6, allow_subnormal=False)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 import pitp_jax as pitp
-from pitp_jax._effects import effect
+from pitp_jax.method.effects import effect
 
 from ..clock import summary
 from ..sizes import size

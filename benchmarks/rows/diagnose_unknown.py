@@ -1,6 +1,6 @@
 """The longest way through a diagnosis: effects it does not know and a refit, so pairs in vain, and the other split."""
 
-from pitp_jax._effects import effect
+from pitp_jax.method.effects import effect
 
 from .diagnose import diagnosed
 

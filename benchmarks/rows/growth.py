@@ -4,9 +4,9 @@ The row itself is the inversion of 10^6 samples beside ten times that of 10^5: l
 """
 
 from pitp_jax import rest_state
-from pitp_jax._invert.equation import invert_path, scaled_equation
-from pitp_jax._numerics.spline_derivative import fast_derivatives
-from pitp_jax._simulate.batched_rollout import fast_rollout
+from pitp_jax.method.invert.equation import invert_path, scaled_equation
+from pitp_jax.method.numerics.spline_derivative import fast_derivatives
+from pitp_jax.method.simulate.batched_rollout import fast_rollout
 
 from ..clock import row, take_turns
 from ..sizes import size

@@ -16,10 +16,10 @@ from scipy import optimize
 from scipy.signal import cont2discrete, lfilter
 
 import pitp_jax as pitp
-from pitp_jax._demo import protocol
-from pitp_jax._identify.linear_ode import logs_from_roots
-from pitp_jax._identify.output_error import Structure, build_problem, least_squares, solve
-from pitp_jax._record.initial_state import Beginning
+from pitp_jax.application.demo import protocol
+from pitp_jax.method.identify.linear_ode import logs_from_roots
+from pitp_jax.method.identify.output_error import Structure, build_problem, least_squares, solve
+from pitp_jax.method.signal.initial_state import Beginning
 
 from ..clock import row, take_turns
 from ..sizes import size

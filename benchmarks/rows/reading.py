@@ -40,7 +40,7 @@ def written(path: Path, rows: int, seed: int) -> Path:
 
 def measure(seconds: float) -> dict:
     """`beyond_mb` is before pandas has read the file; `check_s` is all that the command does but its start."""
-    from pitp_jax._check.check import check
+    from pitp_jax.application.check.check import check
 
     with tempfile.TemporaryDirectory() as folder:
         pitp.read(written(Path(folder) / "warm.csv", _EACH, 0))  # what is imported on the first call

@@ -8,8 +8,8 @@ import time
 
 import numpy as np
 
-from pitp_jax._invert.realtime import decoder_step, inverse_step
-from pitp_jax._numerics.spline_derivative import derivatives
+from pitp_jax.method.invert.realtime import decoder_step, inverse_step
+from pitp_jax.method.numerics.spline_derivative import derivatives
 
 from ..clock import once, summary
 from ..sizes import size

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from pitp_jax import free_run, rest_state
-from pitp_jax._simulate.batched_rollout import fast_rollout
-from pitp_jax._simulate.decoder import rollout_batch
+from pitp_jax.method.simulate.batched_rollout import fast_rollout
+from pitp_jax.method.simulate.decoder import rollout_batch
 
 from ..clock import row, take_turns
 from ..ode import EQUAL, diffrax_ways, error, films, reference, rollout_floor

@@ -9,8 +9,8 @@ import time
 import numpy as np
 
 from pitp_jax import invert_stream
-from pitp_jax._invert.equation import invert_path, scaled_equation
-from pitp_jax._numerics.spline_derivative import fast_derivatives
+from pitp_jax.method.invert.equation import invert_path, scaled_equation
+from pitp_jax.method.numerics.spline_derivative import fast_derivatives
 
 from ..clock import peak_mb, summary
 from ..sizes import size

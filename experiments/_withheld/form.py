@@ -1,4 +1,4 @@
-"""What a withheld effect may do to the plant, port by port; nothing of `pitp_jax._effects` is read here.
+"""What a withheld effect may do to the plant, port by port; nothing of `pitp_jax.method.effects` is read here.
 
     V = drive(u),  F = coupling(V^2, x)
     x'' = limit((F + push - x - 2 zeta x' - force(x, x', s, t)) / inertia)

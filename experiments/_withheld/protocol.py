@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from pitp_jax import Record
-from pitp_jax._record import waveforms
+from pitp_jax.application.plan import waveforms
 
 NAMES = ("sweep", "sine0", "sine1", "sine2", "sine3", "multisine", "steps")
 SESSION = 26  # record lengths from the first sample of a session to its last

@@ -5,10 +5,11 @@ import csv
 import numpy as np
 from scipy.signal import lsim
 
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.input_map import SquareInput
-from pitp_jax._model.model import Output, linear_model
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.input_map import SquareInput
+from pitp_jax.method.model.model import Output, linear_model
+from pitp_jax.method.model.origin import Origin
 
 OMEGA, DAMPING, STIFFNESS = 2 * np.pi * 5, 0.15, 1e9  # V^2/m: 4 mm at 2 kV
 COEFFICIENTS = STIFFNESS * np.array([1.0, 2 * DAMPING / OMEGA, 1 / OMEGA**2])

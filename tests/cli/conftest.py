@@ -7,11 +7,11 @@ import pytest
 from cli_cases import DRIVES, TIME, motion, truth, write_record
 
 from pitp_jax import Record
-from pitp_jax._identify import identification
-from pitp_jax._invert import feedforward_plan
-from pitp_jax._model_file import model_file
-from pitp_jax._record import writing
-from pitp_jax.cli import main
+from pitp_jax.application.commands.main import main
+from pitp_jax.files.model_file import model_file
+from pitp_jax.files.recordings import writing
+from pitp_jax.method.identify import identification
+from pitp_jax.method.invert import feedforward_plan
 
 
 @pytest.fixture(scope="session")
@@ -56,8 +56,8 @@ def quick_identify(monkeypatch, identified):
         calls.append(([r.name for r in records], options))
         return identified
 
-    monkeypatch.setattr("pitp_jax._commands.fit.identify", fake)
-    monkeypatch.setattr("pitp_jax._commands.identify.run_identify", fake)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.identify", fake)
+    monkeypatch.setattr("pitp_jax.application.commands.identify.run_identify", fake)
     return calls
 
 
@@ -78,7 +78,7 @@ def quick_inverse(monkeypatch):
             warnings=("25 % of the target lies outside\nthe trained region",),
         )  # fmt: skip
 
-    monkeypatch.setattr("pitp_jax._commands.invert.feedforward", fake)
+    monkeypatch.setattr("pitp_jax.application.commands.invert.feedforward", fake)
     return calls
 
 

@@ -10,16 +10,16 @@ import pytest
 from cli_cases import TIME, motion, write_record
 
 from pitp_jax import load, save
-from pitp_jax._adapt.adaptation import Adaptation, Changed
-from pitp_jax._commands.adapt import print_adaptation
-from pitp_jax._model.drive import ElectrodeLag
-from pitp_jax._model_file import digest
+from pitp_jax.application.commands.adapt import print_adaptation
+from pitp_jax.files.model_file.model_file import digest
+from pitp_jax.method.adapt.adaptation import Adaptation, Changed
+from pitp_jax.method.model.drive import ElectrodeLag
 
 
 @pytest.fixture(scope="module")
 def days(tmp_path_factory):
     """A nominal from a sweep, a recording of the same day and one of a softer spring."""
-    from pitp_jax.cli import main
+    from pitp_jax.application.commands.main import main
 
     root = tmp_path_factory.mktemp("days")
     voltage, displacement = motion("sweep")

@@ -8,8 +8,8 @@ import pytest
 from cli_cases import columns_of, refused, tree
 
 import pitp_jax as pitp
-from pitp_jax._against import entry
-from pitp_jax._demo import joint
+from pitp_jax.application.against import entry
+from pitp_jax.application.demo import joint
 
 
 @pytest.fixture(scope="module")

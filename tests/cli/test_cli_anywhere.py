@@ -12,8 +12,8 @@ import pytest
 from cli_cases import refused, tree
 
 import pitp_jax
-from pitp_jax._demo import files, protocol
-from pitp_jax.cli import main
+from pitp_jax.application.commands.main import main
+from pitp_jax.application.demo import files, protocol
 
 PACKAGE = Path(pitp_jax.__file__).parent
 FORBIDDEN = re.compile(r'[<>:"/\\|?*\x00-\x1f]|[. ]$')  # in a file's name on Windows
@@ -68,7 +68,7 @@ def test_a_terminal_without_these_letters_shows_escapes(placed, monkeypatch, enc
 def test_names_of_output_files_are_names_everywhere():
     drives = [e.name for p in ("cone100", "roll") for part in ("sweep", "train", "test")
               for e in protocol.excitations(p, part, True)]  # fmt: skip
-    names = [*files.FILES, *import_module("pitp_jax._commands.diagnose").FILES, *drives]
+    names = [*files.FILES, *import_module("pitp_jax.application.commands.diagnose").FILES, *drives]
     parts = [part for n in names for part in n.split("/")]  # a folder of the output, then a file
     assert [n for n in parts if FORBIDDEN.search(n) or not n.isascii()] == []
 

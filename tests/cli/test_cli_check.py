@@ -9,11 +9,11 @@ import pytest
 from cli_cases import COEFFICIENTS, DRIVES, TIME, columns_of, motion, refused, tree, truth, write_record
 from scipy.signal import lsim
 
-from pitp_jax._model import Fitted
-from pitp_jax._model.model import Output
-from pitp_jax._model_file import model_file
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.model import Output
 
-command = import_module("pitp_jax._commands.simulate")  # the module: the package offers its function by the same name
+command = import_module("pitp_jax.application.commands.simulate")
 
 
 KEYS = {

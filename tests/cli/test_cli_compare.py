@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cli_cases import refused, tree, truth
 
-from pitp_jax._model_file import model_file
+from pitp_jax.files.model_file import model_file
 
 DIAGNOSIS = {"verdict": "no_gap", "effects": [], "equivalent": [], "gap": {"before": 1.0, "after": 1.0}, "ranking": []}
 

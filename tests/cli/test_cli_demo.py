@@ -11,16 +11,16 @@ from cli_cases import COEFFICIENTS, columns_of, refused, tree
 from scipy.signal import lsim
 
 from pitp_jax import ComputationFailed
-from pitp_jax._demo import files, joint, protocol
-from pitp_jax._model_file import model_file
-from pitp_jax._train import settings
+from pitp_jax.application.demo import files, joint, protocol
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.train import settings
 
 
 def test_demo_keeps_whole_or_nothing(call, tmp_path, monkeypatch):
     def fail(*_, **__):
         raise ComputationFailed("no order")
 
-    monkeypatch.setattr("pitp_jax._commands.demo.run", fail)
+    monkeypatch.setattr("pitp_jax.application.commands.demo.run", fail)
     refused(call("demo", "--out", tmp_path / "d"), code=3)
     (tmp_path / "r" / "records").mkdir(parents=True)
     (tmp_path / "r" / "records" / "sine_010Hz_500V.csv").write_text("")

@@ -11,10 +11,10 @@ from cli_cases import COEFFICIENTS, TIME, motion, tree, truth, write_record
 from played import FEW
 from scipy.signal import lsim
 
-from pitp_jax._commands import diagnose as command
-from pitp_jax._diagnose.diagnosis import Diagnosis
-from pitp_jax._model_file import model_file
-from pitp_jax.cli import main
+from pitp_jax.application.commands import diagnose as command
+from pitp_jax.application.commands.main import main
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.diagnose.diagnosis import Diagnosis
 
 TAU = 0.02  # s: the electrode's lag that the nominal does not know
 KEYS = {

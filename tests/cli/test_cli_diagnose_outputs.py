@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from cli_cases import columns_of, motion, refused, tree, truth, write_record
 
-from pitp_jax._commands import diagnose as command
-from pitp_jax._commands.console import StatusLine
-from pitp_jax._diagnose.diagnosis import Diagnosis
-from pitp_jax._diagnose.next_experiment import Experiment
-from pitp_jax._errors import BadInput, ComputationFailed
-from pitp_jax._model_file import model_file
+from pitp_jax.application.commands import diagnose as command
+from pitp_jax.application.commands.console import StatusLine
+from pitp_jax.common.errors import BadInput, ComputationFailed
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.diagnose.diagnosis import Diagnosis
+from pitp_jax.method.diagnose.next_experiment import Experiment
 
 
 @pytest.fixture

@@ -10,14 +10,14 @@ import pytest
 from cli_cases import refused, tree
 
 import pitp_jax as pitp
-from pitp_jax._commands.console import ProgressBar, say
-from pitp_jax._errors import BadInput, ComputationFailed
-from pitp_jax._model.encoder import CompactEncoder
-from pitp_jax._model_file import model_file
-from pitp_jax._structure.choice import Choice
-from pitp_jax._train import training
-from pitp_jax._train.cross_validation import HeldOut
-from pitp_jax._train.settings import PARTS, PRESETS
+from pitp_jax.application.commands.console import ProgressBar, say
+from pitp_jax.common.errors import BadInput, ComputationFailed
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.model.encoder import CompactEncoder
+from pitp_jax.method.structure.choice import Choice
+from pitp_jax.method.train import training
+from pitp_jax.method.train.cross_validation import HeldOut
+from pitp_jax.method.train.settings import PARTS, PRESETS
 
 
 @pytest.fixture
@@ -47,7 +47,7 @@ def trainer(monkeypatch):
             )
 
     fake = Trainer([])
-    monkeypatch.setattr("pitp_jax._commands.fit.train", fake)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.train", fake)
     return fake
 
 
@@ -71,7 +71,7 @@ def test_fit_says_first_that_training_failed(call, bench, tmp_path, trainer, mon
         made = trainer(*args, **options)
         return replace(made, notes={**made.notes, "fallback": "the nominal itself"}, fallback="the nominal itself")
 
-    monkeypatch.setattr("pitp_jax._commands.fit.train", failed)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.train", failed)
     options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
     code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
     assert code == 0
@@ -88,7 +88,7 @@ def test_fit_says_first_that_its_model_explains_little(
     def poor(*args, **options):
         return replace(trainer(*args, **options), errors=(training.RecordError("sine2", 36.0, trained),))
 
-    monkeypatch.setattr("pitp_jax._commands.fit.train", poor)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.train", poor)
     options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
     code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options)
     assert code == ends and (tmp_path / "model").exists()
@@ -114,7 +114,7 @@ def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
         assert (nominal.order, options["key"], len(records)) == (2, trainer.calls[0][2]["key"], 3)
         return HeldOut("sine2", 0.3, 0.4), HeldOut("sine4", 0.5, 7.0)
 
-    monkeypatch.setattr("pitp_jax._commands.fit.run_cross_validate", left_out)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.run_cross_validate", left_out)
     options = ["--nominal", bench / "nominal", "--cross-validate", "--json", tmp_path / "errors.json"]
     code, text, err = call("fit", bench / "records", "--out", tmp_path / "model", *options)
     assert code == 0
@@ -139,7 +139,7 @@ def test_a_chosen_structure_is_reported_with_its_errors(call, bench, tmp_path, t
         held_out = HeldOut("sine2", 0.3, 1.5), HeldOut("sine4", 0.5, 2.5)
         return Choice("physical", "lowest error on 2 excitations left out", encoder, errors, held_out)
 
-    monkeypatch.setattr("pitp_jax._commands.fit.choose", choose)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.choose", choose)
     options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
     code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options, "--structure", "auto")
     assert code == 0 and "physical 2 %, encoder 8 %" in text and "structure: physical (lowest error" in text
@@ -188,7 +188,7 @@ def test_fit_is_reproducible_by_seed(call, bench, tmp_path, trainer):
 
 @pytest.mark.parametrize("found", [["sweep"], []])
 def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, quick_identify, monkeypatch, found):
-    monkeypatch.setattr("pitp_jax._commands.fit.is_sweep", lambda record: record.name in found)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.is_sweep", lambda record: record.name in found)
     code, _, err = call("fit", bench / "records", "--out", tmp_path / "m", "--order", "2")
     assert code == 0
     assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from cli_cases import COEFFICIENTS, TIME, motion, refused, tree, truth, write_record
 
-from pitp_jax._model.domain import Domain
-from pitp_jax._model_file import model_file
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.model.domain import Domain
 
 
 def test_identify_writes_and_reports(call, bench, tmp_path, quick_identify):
@@ -128,6 +128,6 @@ def test_interrupted_identify_writes_nothing(call, bench, tmp_path, monkeypatch)
     def stop(*_, **__):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("pitp_jax._commands.identify.run_identify", stop)
+    monkeypatch.setattr("pitp_jax.application.commands.identify.run_identify", stop)
     assert call("identify", bench / "records", "--out", tmp_path / "m")[0] == 130
     assert tree(tmp_path) == []

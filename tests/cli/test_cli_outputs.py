@@ -10,15 +10,17 @@ import pytest
 from cli_cases import motion, refused, tree, write_record
 from scipy.signal import lfilter
 
-from pitp_jax._commands import outputs
-from pitp_jax._report import html
+from pitp_jax.application.commands import outputs
+from pitp_jax.application.pages import html
 
 OLD = '{\n  "written_by": "pitp_jax 0.1"\n}'
 
 
 def test_destinations_are_checked_before_the_work(call, bench, tmp_path, monkeypatch):
-    monkeypatch.setattr("pitp_jax._commands.identify.read_records", lambda *a, **k: pytest.fail("read first"))
-    monkeypatch.setattr("pitp_jax._commands.fit.read_records", lambda *a, **k: pytest.fail("read first"))
+    monkeypatch.setattr(
+        "pitp_jax.application.commands.identify.read_records", lambda *a, **k: pytest.fail("read first")
+    )
+    monkeypatch.setattr("pitp_jax.application.commands.fit.read_records", lambda *a, **k: pytest.fail("read first"))
     (tmp_path / "file").write_text("x")
     record = bench / "records" / "sweep.csv"
     for out in (tmp_path, tmp_path / "no" / "m", tmp_path / "file" / "m", record, f"{tmp_path}/"):

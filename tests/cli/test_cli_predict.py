@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from cli_cases import DRIVES, SCORE_KEYS, TIME, columns_of, motion, refused, tree, write_record
 
-from pitp_jax._commands.predict import median_e_rms
+from pitp_jax.application.commands.predict import median_e_rms
 
-command = import_module("pitp_jax._commands.predict")  # the module: the package offers its function by the same name
+command = import_module("pitp_jax.application.commands.predict")
 
 
 def test_predict_writes_scores_and_records_in_their_own_units(call, bench, tmp_path):

@@ -15,22 +15,23 @@ from exported import COMPILERS, Exported
 from scipy.signal import lsim
 
 from pitp_jax import Record
-from pitp_jax._against import parameters
-from pitp_jax._commands.amounts import amount, in_base
-from pitp_jax._diagnose.next_experiment import excitations
-from pitp_jax._diagnose.report.formatting import parameter
-from pitp_jax._diagnose.result import Added, Ranked
-from pitp_jax._diagnose.term import equation
-from pitp_jax._effects import CATALOGUE, effect
-from pitp_jax._effects.physical import physical
-from pitp_jax._errors import BadInput
-from pitp_jax._model import Fitted, Origin
-from pitp_jax._model.domain import Domain
-from pitp_jax._model.input_map import LinearInput
-from pitp_jax._model.model import Output, linear_model
-from pitp_jax._model_file import model_file
-from pitp_jax._table.quantity import Quantity, Units, per_second
-from pitp_jax._train import training
+from pitp_jax.application.commands.amounts import amount, in_base
+from pitp_jax.application.pages.diagnosis.formatting import parameter
+from pitp_jax.common.errors import BadInput
+from pitp_jax.common.quantity import Quantity, Units, per_second
+from pitp_jax.files.model_file import model_file
+from pitp_jax.method.diagnose import joint as parameters
+from pitp_jax.method.diagnose.next_experiment import excitations
+from pitp_jax.method.diagnose.result import Added, Ranked
+from pitp_jax.method.diagnose.term import equation
+from pitp_jax.method.effects import CATALOGUE, effect
+from pitp_jax.method.effects.physical import physical
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.model import Output, linear_model
+from pitp_jax.method.model.origin import Origin
+from pitp_jax.method.train import training
 
 TIME = np.arange(1500) / 500.0
 DEGREE = np.pi / 180
@@ -305,7 +306,7 @@ def test_fit_names_units_of_the_machine_alone(call, motor, tmp_path, monkeypatch
         made = replace(nominal, domain=replace(nominal.domain, region=region), effects=(effect("delay", time=0.004),))
         return training.Training(made, (), False, {}, tuple(training.RecordError(r.name, 1.0, 0.5) for r in records))
 
-    monkeypatch.setattr("pitp_jax._commands.fit.train", train)
+    monkeypatch.setattr("pitp_jax.application.commands.fit.train", train)
     options = ("--nominal", motor / "model", "--report", tmp_path / "page", "--json", tmp_path / "j")
     code, text, err = call("fit", motor / "records", "--out", tmp_path / "m", *options)
     page = written(tmp_path)
@@ -344,7 +345,7 @@ def test_diagnose_names_units_of_the_machine_alone(call, motor, tmp_path, monkey
         added=tuple(Added(r.effect, r.form, r.parameters) for r in ranking),
         next_experiment=replace(known.next_experiment, excitation=words),
     )  # fmt: skip
-    monkeypatch.setattr("pitp_jax._commands.diagnose.run_diagnosis", lambda *_, **__: found)
+    monkeypatch.setattr("pitp_jax.application.commands.diagnose.run_diagnosis", lambda *_, **__: found)
     options = ("--nominal", motor / "model", "--out", tmp_path / "d", "--json", tmp_path / "j")
     code, text, err = call("diagnose", motor / "records", *options)
     page = written(tmp_path)

@@ -11,8 +11,8 @@ import pytest
 from cli_cases import refused
 
 import pitp_jax
-from pitp_jax._errors import BadInput
-from pitp_jax.cli import _parser
+from pitp_jax.application.commands.main import _parser
+from pitp_jax.common.errors import BadInput
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_version(call):
 def test_the_parser_needs_no_jax():
     code = (
         "import sys\n"
-        "from pitp_jax.cli import main\n"
+        "from pitp_jax.application.commands.main import main\n"
         "assert main(['--help']) == 0 and main(['fit']) == 2\n"
         "heavy = {'jax', 'numpy', 'scipy', 'equinox', 'matplotlib'} & set(sys.modules)\n"
         "assert not heavy, heavy\n"
@@ -106,7 +106,9 @@ def test_the_parser_needs_no_jax():
 )
 def test_a_command_loads_nothing_that_it_does_not_use(command, idle):
     """What identifies comes with the commands that fit: it was a third of all that a prediction loaded."""
-    code = f"import sys, pitp_jax._commands.{command}; print([m for m in {idle.split()} if m in sys.modules])"
+    code = (
+        f"import sys, pitp_jax.application.commands.{command}; print([m for m in {idle.split()} if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True)
     assert done.stdout == "[]\n"
 

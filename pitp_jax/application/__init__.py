@@ -1,0 +1,1 @@
+"""What a person sees: commands, pages, comparisons, checks, plans."""

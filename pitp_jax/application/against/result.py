@@ -1,0 +1,152 @@
+"""Hold the result of a diagnosis of a robot against a simulator."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...common.numbers import number
+from ...common.shown import data_frame
+from ...method.diagnose.diagnosis import Diagnosis
+from ...method.diagnose.joint import Parameter, as_rows
+from ...method.identify.identification import Identification
+from ...method.model.fitted import Fitted
+from ...method.model.model import Model
+from ...method.signal.record import Record
+from ..compare.pairing import Pairing
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class SimToReal:
+    """The differences between a robot and its simulator: parameters, missing effects, and how much they explain.
+
+    Attributes:
+        robot: diagnosis of the robot's records under the simulator's model.
+        simulator: diagnosis of the simulator's own records; None if its model's error is not part of the gap.
+        identification: the linear model of the simulator.
+        nominal: that model with the simulator's own effects.
+        pairs: recordings with the same command, and the offset of their clocks.
+        parameters: the simulator's numbers, the robot's, and the difference.
+        simulator_share: fraction of the gap's energy caused by the error of the simulator's model, with its 95 %
+            interval.
+        records: the robot's.
+        corrections: added input per recording, base unit.
+    """
+
+    robot: Diagnosis
+    simulator: Diagnosis | None
+    identification: Identification
+    nominal: Model | Fitted
+    pairs: Pairing
+    parameters: tuple[Parameter, ...]
+    simulator_share: tuple[float, float, float]
+    records: tuple[Record, ...]
+    corrections: tuple[np.ndarray, ...]
+
+    @property
+    def verdict(self) -> str:
+        """Return the verdict on the robot's recordings under the simulator's model."""
+        return self.robot.verdict
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Return the names of the effects that the robot has and the simulator lacks."""
+        return self.robot.effects
+
+    @property
+    def model(self) -> Model | Fitted:
+        """Return the model of the simulator with the effects that the robot has in addition."""
+        return self.robot.model
+
+    @property
+    def budget(self) -> dict[str, Any]:
+        """Return the parts of the error by cause, with the part due to the simulator's linear model."""
+        share, low, high = self.simulator_share
+        told = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
+        left = share
+        for key in ("unexplainable", "unnamed"):
+            if key in told:
+                taken = min(left, max(told[key]["share"], 0.0))
+                told[key]["share"] -= taken
+                left -= taken
+        return told | {"simulator": {"share": share - left, "ci95": [low, high]}}
+
+    def lines(self) -> list[str]:
+        """Write the parameters that differ, and remarks for the user, one sentence each."""
+        found = []
+        for p in self.parameters:
+            if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
+                error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
+                names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
+                found.append(
+                    f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
+                    f"{f' ({names})' if names else ''}"
+                )
+        gain, notes = _gain_lines(self.parameters), SimToReal.remarks(self)
+        return [*gain, *found, *notes[len(gain) :]]
+
+    def remarks(self) -> list[str]:
+        """Write remarks for the user on the parameters, one sentence each."""
+        found = _gain_lines(self.parameters)
+        half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
+        if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
+            found.append(
+                f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
+                f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
+            )
+        if self.simulator_share[0] >= 0.05:
+            found.append(
+                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
+            )
+        return [*found, *self.pairs.remarks("robot", "simulator")]
+
+    def __repr__(self) -> str:
+        """Write verdict and parameters in at most ten lines."""
+        told = self.lines()
+        more = [f"  and {len(told) - 7} more"] if len(told) > 8 else []
+        head = f"SimToReal, {str(self.robot).splitlines()[0]}"
+        return "\n".join([head, *(f"  {line}" for line in told[: 7 if more else 8]), *more])
+
+    def __str__(self) -> str:
+        """Write verdict, parameters and remarks for the terminal."""
+        return "\n".join([*str(self.robot).splitlines(), *self.lines()])
+
+    def _repr_html_(self) -> str:
+        """Write headline and parameters as HTML, for notebooks."""
+        from ..pages.against import first_screen
+
+        return first_screen(self)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return a table with one row per parameter: simulator, robot, difference, and names in other programs."""
+        return data_frame(as_rows(self.parameters))
+
+    def as_json(self, csv: str | None = None) -> dict[str, Any]:
+        """Return the diagnosis as a dict for JSON, with the simulator's part and the parameters."""
+        pairs = [
+            {
+                "robot": p.first.name,
+                "simulated": p.second.name,
+                "clock_offset_s": p.offset,
+                "correlation": p.correlation,
+            }
+            for p in self.pairs.pairs
+        ]
+        unmatched = {"robot": dict(self.pairs.first_alone), "simulated": dict(self.pairs.second_alone)}
+        told = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
+                "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip
+        return self.robot.as_json(csv) | told
+
+
+def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
+    """Write that another position gain explains all changed coefficients, or nothing if none does."""
+    gain = next((p for p in parameters if p.name == "position gain"), None)
+    if gain is None:
+        return []
+    factor = gain.robot / gain.simulator
+    names = [p.name for p in parameters if p.name in ("damping", "inertia")]
+    twin = " and ".join(f"{name} x {number(1 / factor, 3)}" for name in names)
+    return [f"position gain x {number(factor, 3)} (or {twin}): these recordings do not separate the two"]

@@ -1,0 +1,245 @@
+"""Check every record by itself, and all records together, and advise the user.
+
+    faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit or given model)
+                                      -> coverage, repeats -> advice
+
+A record that cannot be used is reported and left out of the checks of the set, so its problem does not hide the others.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from ...common.shown import Shown
+from ...common.units import base_unit, from_base
+from ...files.recordings.plausible import monitor_warning
+from ...files.recordings.remarks import Remark, by_kind, counted
+from ...method.model.fitted import Fitted, fitted_of
+from ...method.model.model import Model
+from ...method.signal.initial_state import Beginning
+from ...method.signal.record import Record
+from ...method.signal.sets import RATE_TOLERANCE, check_records
+from .coverage import Coverage, coverage
+from .one_record import Facts, coloured_noise, facts, masked, moves
+from .repeats import Repeat, cycles, find_repeats
+from .set_advice import set_advice
+from .set_fit import SetFit, fit_set
+from .with_model import Explained, beside_model
+
+_FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
+
+
+@dataclass(frozen=True)
+class CheckedRecord:
+    """Facts about one record as the check found them; None if unknown.
+
+    Attributes:
+        samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
+        recognised: properties of the file as read: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
+        begins: "rest", "held" or "moving".
+        zero, zero_stderr, noise: in `unit`, the record's own.
+        direction: 1 or -1.
+        noise_colour: "white" or "coloured".
+        excitation: "sweep", "sine", "steps", "broadband" or "none".
+        band_hz: of the input.
+        e_rms_percent: error of the given model.
+        repaired: corrections that need no action.
+        problems: one sentence each.
+    """
+
+    samples: int | None = None
+    rate_hz: float | None = None
+    recognised: Mapping[str, Any] = field(default_factory=dict)
+    begins: str | None = None
+    zero: float | None = None
+    zero_stderr: float | None = None
+    unit: str | None = None
+    direction: int | None = None
+    noise: float | None = None
+    noise_colour: str | None = None
+    missing: int | None = None
+    outliers: int | None = None
+    jitter: float | None = None
+    excitation: str | None = None
+    band_hz: tuple[float, float] | None = None
+    e_rms_percent: float | None = None
+    repaired: tuple[Remark, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    def as_json(self) -> dict:
+        """Return the record's entry in the JSON of `pitp check` (docs/contract.md)."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
+        zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
+        problems = [*map(str, self.repaired), *self.problems]
+        return plain | {"zero": zero, "recognised": dict(self.recognised), "problems": problems}
+
+
+@dataclass(frozen=True)
+class Check(Shown):
+    """The result of `check`: facts on every record, advice, coverage of frequencies and amplitudes, repeated inputs.
+
+    Attributes:
+        records: by name; one that could not be read holds its refusal as a problem.
+        advice: on the set, one sentence each, the most important first.
+        resonance_hz: by the given model or the linear fit; None if no fit was possible.
+        input_map: whether the force was taken as the square of the voltage or as the voltage.
+        coverage: excited frequencies and amplitudes.
+        repeats: inputs that were played more than once.
+        understood: the records as read.
+    """
+
+    records: dict[str, CheckedRecord]
+    advice: tuple[str, ...]
+    resonance_hz: float | None
+    input_map: str
+    coverage: Coverage | None
+    repeats: tuple[Repeat, ...]
+    understood: tuple[Record, ...]
+
+    @property
+    def problems(self) -> dict[str, tuple[str, ...]]:
+        """Return the problems of single records, by record name; corrections while reading do not count."""
+        return {name: row.problems for name, row in self.records.items() if row.problems}
+
+    @property
+    def repaired(self) -> list[str]:
+        """Return the corrections made while reading, one line for every kind."""
+        return by_kind([remark for row in self.records.values() for remark in row.repaired])
+
+    def as_json(self) -> dict:
+        """Return the JSON of `pitp check` as a dict (docs/contract.md)."""
+        return {"records": {name: row.as_json() for name, row in self.records.items()}, "advice": list(self.advice)}
+
+    def _rows(self) -> list[dict]:
+        return [{"record": name, **row.as_json()} for name, row in self.records.items()]
+
+    def __repr__(self) -> str:
+        few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")
+        at = "" if self.resonance_hz is None else f", resonance near {self.resonance_hz:.3g} Hz"
+        named = f" ({few})" if few else ""
+        lines = [f"Check of {counted(len(self.records), 'recording')}{at}: {len(self.problems)} with problems{named}"]
+        return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
+
+
+def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Check:
+    """Check what was read, how each record starts, and whether the records suffice for identification and training.
+
+    Args:
+        records: from `pitp.read`; records of an unusual sampling rate or kind of output are reported and left out of
+            the checks of the set.
+        model: of the same actuator; None fits a linear one.
+
+    Returns:
+        records by name, advice, coverage and repeats.
+
+    Raises:
+        BadInput: no records, or something else than records or a model.
+
+    Examples:
+        >>> found = pitp.check(records)
+        >>> found.records["sweep"].begins, found.records["sweep"].problems
+        ('rest', ())
+    """
+    return checked(records, model, {})
+
+
+def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
+    """Check records as `check` does, and report the files that could not be read (name: refusal)."""
+    check_records(records, empty=bool(refused))
+    # The origin gives the unit of the model's output and its residual on its own records.
+    model = None if model is None else fitted_of(model)
+    records = [masked(r) for r in _named(records)]
+    own = {r.name: facts(r) for r in records}
+    unit = base_unit(model.origin.displacement_unit) if model is not None else None
+    apart = _apart(records, unit)
+    # Only these describe the set: one rate, one kind of output, moving under an input.
+    used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
+    fitted = fit_set(used) if used and model is None else None
+    beside = beside_model(model, used) if used and model is not None else {}
+    resonance, input_map = None, "square"
+    if model is not None:
+        resonance, input_map = model.natural_frequency / (2 * np.pi), model.input_map.name
+    elif fitted:
+        resonance, input_map = fitted.natural_hz, fitted.input_map
+    rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
+    turned = _turned(rows)
+    more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
+    rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
+    cover = coverage(used, input_map, resonance) if used and resonance else None
+    repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
+    advice = set_advice(rows, used, cover, repeats, cycles(used), beside, fitted, turned)
+    monitor = monitor_warning(used) if used and input_map == "square" else None
+    # added to the others, so that one bad file does not hide the good ones
+    lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
+    lines = ([monitor] if monitor else []) + advice
+    return Check(rows | lost, tuple(lines), resonance, input_map, cover, tuple(repeats), tuple(records))
+
+
+def _named(records: Sequence[Record]) -> list[Record]:
+    """Give records of the same name a number, so that all names differ."""
+    count, seen, named = Counter(r.name for r in records), Counter(), []
+    for r in records:
+        seen[r.name] += 1
+        named.append(r if count[r.name] == 1 else replace(r, name=f"{r.name} ({seen[r.name]})"))
+    return named
+
+
+def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
+    """Return the records that differ from most in sampling rate or kind of output, by name, with the reason."""
+    if not records:
+        return {}
+    # in steps of the tolerance, so that equal ones are counted together
+    rates = [round(np.log(r.dt) / RATE_TOLERANCE / 2) for r in records]
+    most = Counter(rates).most_common(1)[0][0]
+    dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
+    kind = unit or Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
+    apart = {}
+    for r in records:
+        if abs(r.dt / dt - 1) > RATE_TOLERANCE:
+            apart[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz; use it in a separate call"
+        elif base_unit(r.displacement_unit) != kind:
+            apart[r.name] = (
+                f"its output is in {r.displacement_unit}, but the others are in {kind}; give --output-column"
+            )
+    return apart
+
+
+def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:
+    """Return the facts about one record, with the results of the linear fit or of the given model."""
+    unit, problems = record.displacement_unit, list(own.problems)
+    begun: Beginning | None = None
+    noise, colour, direction, e_rms = own.noise, None, None, None
+    if fitted is not None and record.name in fitted.records:
+        row = fitted.records[record.name]
+        harmonic = 2 if fitted.input_map == "square" else 1
+        top = harmonic * own.band_hz[1] if own.band_hz else 0.0
+        coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
+        noise, colour = (noise, "white") if coloured is None else (coloured, "coloured")
+        begun, direction = row.beginning, int(row.beginning.direction) if row.tells else None
+        problems += [row.strange] if row.strange else []
+    if beside is not None:
+        begun, e_rms = beside.beginning, beside.e_rms_percent
+        direction, colour = int(begun.direction), beside.colour
+        noise = beside.coloured if beside.coloured is not None else noise
+        problems += [text for text in (beside.problem, beside.not_excited) if text]
+    shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
+    # an infinite standard error means that the offset was not measured
+    known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
+    seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
+    return CheckedRecord(
+        samples=record.samples, rate_hz=1 / record.dt, recognised=seen, begins=begun.begins if begun else None,
+        zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
+        noise=float(from_base(noise, unit)), noise_colour=colour, missing=record.missing,
+        outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz, e_rms_percent=e_rms,
+        repaired=own.repaired, problems=tuple(problems),
+    )  # fmt: skip
+
+
+def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:
+    """Return the names of records in which the sensor is reversed relative to most records."""
+    known = {name: row.direction for name, row in rows.items() if row.direction is not None}
+    most = Counter(known.values()).most_common(1)
+    return [name for name, direction in known.items() if direction != most[0][0]]

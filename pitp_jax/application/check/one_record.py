@@ -1,0 +1,167 @@
+"""Check one record by itself: its input, the faults of sensor and clock, its noise, and its problems.
+
+band     frequencies between which 98 % of the input's energy about its mean lies
+noise    white: 5th difference (`noise_std`);  coloured: the residual's density far above input and resonance,
+P(lowest quarter of those bands) > 4 P(highest quarter), is extended to lower frequencies
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...common.units import base_unit, from_base
+from ...files.recordings.outliers import mask_faults
+from ...files.recordings.plausible import questions
+from ...files.recordings.remarks import Remark
+from ...method.numerics.noise_spectrum import band_edges, band_levels
+from ...method.signal.checks import TIME_TOLERANCE
+from ...method.signal.excitation_kind import kind, loudest
+from ...method.signal.initial_state import in_motion, noise_std
+from ...method.signal.record import Record
+
+_TAIL = 0.01  # fraction of the input's energy below its band, and above
+_FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
+_ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; above them the spectrum is sensor noise
+_COLOURED, _FEWEST_BANDS = 4.0, 8
+_UNIT = 300.0  # times: more than a resonance and its roll-off change one actuator's range
+_MANY = 0.01  # fraction of the samples: more outliers are more than a few spikes
+_MUCH = 0.05  # fraction of missing samples that is reported
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Facts about one record that need no model: input, noise, faults and problems.
+
+    Attributes:
+        excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.
+        band_hz: lowest and highest frequency of the input; None if it never changes.
+        noise: standard deviation of white sensor noise, output's base unit.
+        outliers, clipped, lost: samples masked by the reader or here.
+        jitter: largest distance of a time from the uniform grid, in samples.
+        repaired: corrections that need no action, for example a few spikes and lost samples.
+        problems: one sentence each.
+    """
+
+    excitation: str
+    band_hz: tuple[float, float] | None
+    noise: float
+    outliers: int
+    clipped: int
+    lost: int
+    jitter: float
+    repaired: tuple[Remark, ...]
+    problems: tuple[str, ...]
+
+
+def masked(record: Record) -> Record:
+    """Mask and count sensor faults as the reader does; the record is unchanged if there are none."""
+    faults, seen = mask_faults(record.displacement, record.voltage), record.recognised
+    if not (faults.outliers or faults.clipped):
+        return record
+    counts = {key: int(seen.get(key, 0)) + getattr(faults, key) for key in ("outliers", "clipped")}
+    return replace(record, displacement=faults.displacement, recognised={**seen, **counts})
+
+
+def facts(record: Record) -> Facts:
+    """Return input, faults, noise and problems of one record whose sensor faults are masked."""
+    seen, unit = record.recognised, record.displacement_unit
+    outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
+    jitter = float(seen.get("jitter", _jitter(record)))
+    changes = bool(np.ptp(record.voltage) > 0)
+    band = drive_band(record) if changes else None
+    noise = noise_std(record.displacement)
+    values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
+    repaired = tuple(Remark(kind, record.name, value) for kind, value in values.items() if value)
+    problems = []
+    if outliers > _MANY * record.samples:
+        problems.append(f"{Remark('outliers', record.name, outliers)}: check the sensor")
+    if clipped:
+        problems.append(f"{Remark('clipped', record.name, clipped)}: move the sensor or widen its range")
+    problems += questions(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
+    excitation = kind(record) if changes else "none"
+    return Facts(excitation, band, noise, outliers, clipped, lost, jitter, repaired, tuple(problems))
+
+
+def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:
+    """Return problems that the reader does not report: missing samples, no excitation, no motion, coarse sampling."""
+    problems = []
+    if record.missing > _MUCH * record.samples:
+        problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
+    if band is None:
+        problems.append("its input never changes, so it shows only noise and drift; leave it out")
+    elif not moves(record):
+        spread = from_base(noise, record.displacement_unit)
+        problems.append(
+            f"shows no motion beyond its noise of {spread:.2g} {record.displacement_unit}; check sensor and amplifier"
+        )
+    # steps have no highest frequency: their band ends where their edges are sampled
+    if band and (per := 1 / (band[1] * record.dt)) < _FEW_PER_PERIOD and kind(record) != "steps":
+        least = _FEW_PER_PERIOD * band[1]
+        problems.append(
+            f"has only {per:.1f} samples in a period of its fastest input; sample at {least:.3g} Hz or more"
+        )
+    return problems
+
+
+def quick_problems(records: Sequence[Record]) -> list[str]:
+    """Return problems of records that show without a fit, one line each, for commands that fit anyway."""
+    lines, reach = [], []
+    for r in records:
+        band = drive_band(r) if np.ptp(r.voltage) > 0 else None
+        lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
+        reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
+    # the median, so that one record in other units does not change the usual value
+    usual = float(np.median(reach))
+    for r, x in zip(records, reach, strict=True):
+        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT):
+            lines.append(f"{r.name}: moves {x / usual:.2g} times as far per volt as most others; check its unit")
+    return lines
+
+
+def moves(record: Record) -> bool:
+    """Return whether the output of a record moves beyond the sensor noise."""
+    try:
+        return not in_motion([record])[1]
+    except ValueError:
+        return False
+
+
+def drive_band(record: Record) -> tuple[float, float]:
+    """Return the lowest and highest frequency (Hz) of the input, with 98 % of its energy between; equal for a sine."""
+    if kind(record) == "sine":
+        line = loudest(record)
+        return line, line
+    # from line 1 on: the mean is not excitation
+    total = np.cumsum(np.abs(np.fft.rfft(record.voltage - record.voltage.mean()))[1:] ** 2)
+    low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_TAIL, 1 - _TAIL))
+    return low / (record.samples * record.dt), high / (record.samples * record.dt)
+
+
+def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float, resonance: float) -> float | None:
+    """Return the standard deviation of coloured noise in a model's residual; None if it is white or unknown.
+
+    Args:
+        residual: shape (T,), 0 where not `seen`.
+        seen: True where the output was measured, shape (T,).
+        dt: sampling interval, s.
+        top: highest frequency of the force, Hz.
+        resonance: of the actuator, Hz.
+    """
+    edges = band_edges(int(0.6 * len(residual)), dt)
+    levels = band_levels(residual, seen, dt, edges)
+    # so far above input and resonance the actuator does not respond, so the residual there is noise
+    own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
+    quarter = int(own.sum()) // 4
+    if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():
+        return None
+    # white noise is level over these bands
+    low, high = levels[own][:quarter].mean(), levels[own][-quarter:].mean()
+    if low < _COLOURED * high:
+        return None
+    return float(np.sqrt(levels[own] @ np.diff(edges)[own] + low * edges[:-1][own][0]))
+
+
+def _jitter(record: Record) -> float:
+    off = (record.time - record.time[0]) / record.dt - np.arange(record.samples)
+    return float(np.abs(off).max())

@@ -1,0 +1,208 @@
+"""Compare all records with one linear model of order 2: initial state, offset, direction, and which do not fit.
+
+    F = map(u),   y_r = g_r x(t) + offset_r (+ a free response where it starts moving),    x: unit static gain
+
+The poles are common to all records; each record has its own gain g_r. A record does not belong to the set if |log g_r|
+is far from the others', or if its residual with the common poles is much larger than the others'. It is then left out,
+and the others are fitted again.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...common.errors import BadInput, ComputationFailed
+from ...method.identify.beginnings import find_beginnings, start_beside
+from ...method.identify.linear_ode import coast, logs_from_roots, respond
+from ...method.model.input_map import INPUT_MAPS
+from ...method.numerics.coloured_noise import project
+from ...method.signal.initial_state import Beginning
+from ...method.signal.preprocess import force_band
+from ...method.signal.record import Record
+from ...method.signal.reduced import averaged, block_size
+
+_PER_PERIOD = 40  # samples per period of the force band that a record keeps
+_MOST = 300_000  # samples in all
+_ROUNDS = 3
+_HALVED = 6  # records from which halves of the set are tried
+_EXACT = 1e-6  # fraction unexplained of a record without noise
+_FEWEST = 3  # records needed to find one that differs from most
+_SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
+_UNEXPLAINED = 0.3  # fraction from which a record may not belong
+_UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
+_TELLS = 4.0  # standard errors of a record's own gain from which its direction is known
+
+
+@dataclass(frozen=True)
+class Beside:
+    """One record compared with the linear model that all records share.
+
+    Attributes:
+        beginning: initial state as `identify` would find it, with the rig's direction.
+        gain: its own over the median of the set's; nan if unknown.
+        unexplained: residual as a fraction of its standard deviation, with fitted gain and offset.
+        tells: whether it determines the direction.
+        strange: why it does not belong to the set, or empty.
+        error: residual at every `step`-th sample; 0 where not `seen`.
+        seen: where the output was measured.
+        step: samples averaged into one.
+    """
+
+    beginning: Beginning
+    gain: float
+    unexplained: float
+    tells: bool
+    error: np.ndarray
+    seen: np.ndarray
+    step: int
+    strange: str = ""
+
+
+@dataclass(frozen=True)
+class SetFit:
+    """The linear model that all records share: frequency (Hz), damping, residual, input map, compared records."""
+
+    natural_hz: float
+    damping: float
+    unexplained: float
+    input_map: str
+    records: dict[str, Beside]
+
+
+def fit_set(records: Sequence[Record]) -> SetFit | None:
+    """Fit one linear model of order 2 to all moving records; return None if nothing can be fitted.
+
+    The force is the square of the voltage unless a linear one has less than half the residual.
+    """
+    best = None
+    for name in ("square", "linear"):
+        fit = _fitted(records, name)
+        if fit is not None and (best is None or fit.unexplained < 0.5 * best.unexplained):
+            best = fit
+        if best is not None and best.unexplained < 0.2:
+            break
+    return best
+
+
+def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
+    """Fit common poles to the records that belong together; return None if the fit fails."""
+    try:
+        step, small = _thinned(records, input_map)
+        every = set(range(len(small)))
+        best = _beside_poles_of(every, small, step)
+        if best is None:
+            return None
+        if len(small) >= _HALVED and _doubtful(best[1]):
+            halves = [_beside_poles_of(set(list(every)[k::2]), small, step) for k in (0, 1)]
+            best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
+        kept = every
+        for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
+            belong = {k for k, row in enumerate(best[1]) if not row.strange}
+            if len(belong) < 2 / 3 * len(every):  # the records disagree, so none can be excluded
+                best = best[0], [replace(row, strange="") for row in best[1]]
+            if len(belong) < 2 / 3 * len(every) or belong == kept:
+                break
+            kept, best = belong, _beside_poles_of(belong, small, step) or best
+    except (BadInput, ComputationFailed, np.linalg.LinAlgError):
+        return None
+    (first, second), rows = best[0][:2], best[1]
+    natural, damping = float(np.exp(second / 2) / (2 * np.pi)), float(np.exp(first - second / 2) / 2)
+    return SetFit(natural, damping, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
+
+
+def _beside_poles_of(kept: set[int], small, step: int) -> tuple[np.ndarray, list[Beside]] | None:
+    """Fit common poles to the records `kept`; return their logarithms, and every record compared with them."""
+    begun, roots, _ = find_beginnings([small[k] for k in sorted(kept)], "linear")
+    if roots is None:
+        return None
+    logs, by_place = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
+    resting = [b.zero for b in begun if b.begins == "rest"]
+    beginnings = [by_place.get(k) or start_beside(r, "linear", logs, _gain(logs, r), resting[:1])
+                  for k, r in enumerate(small)]  # fmt: skip
+    return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
+
+
+def _usual(rows: Sequence[Beside]) -> float:
+    return float(np.median([row.unexplained for row in rows]))
+
+
+def _doubtful(rows: Sequence[Beside]) -> bool:
+    """Return whether common poles are doubtful: sensor directions differ, or some record does not fit them."""
+    directions = {row.beginning.direction for row in rows if row.tells}
+    return len(directions) > 1 or any(row.strange or row.unexplained > _UNEXPLAINED for row in rows)
+
+
+def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
+    """Average input and output of all records over blocks; a linear system preserves their relation."""
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    dt, total = records[0].dt, sum(r.samples for r in records)
+    shortest = min(r.samples for r in records)
+    fine = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
+    step = max(fine, min(-(-total // _MOST), shortest // 64), 1)
+    small = [averaged(r, force, step) for r, force in zip(records, forces, strict=True)]
+    # an input that starts at 0 V was held there before, at rest
+    firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
+    return step, [replace(r, voltage=voltage) for r, voltage in zip(small, firsts, strict=True)]
+
+
+def _gain(logs: np.ndarray, record: Record) -> float:
+    """Return the gain of one record at given poles, with a free initial state."""
+    moving = _beside(record, logs, Beginning("moving", 1.0, 0.0, 0.0), 1)
+    return abs(moving.gain)
+
+
+def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:
+    """Fit gain and offset of one record at given poles by least squares; the gain's sign is the sensor direction."""
+    dt, force, seen = record.dt, record.voltage, record.observed
+    driven = respond(logs, force, step=dt, square=False, hold="foh", settled=begun.begins == "held")
+    free, _ = coast(logs, record.samples, step=dt)
+    columns = [np.ones(len(driven)), driven]
+    stacked = np.column_stack([*columns, free] if begun.begins == "moving" else columns)[seen]
+    y = record.displacement[seen]
+    factors, error = project(y, stacked)
+    level = np.sqrt(np.sum(error**2) / max(len(y) - stacked.shape[1], 1))
+    size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
+    inverse = np.linalg.pinv((stacked / size).T @ (stacked / size))
+    known = level * np.sqrt(max(inverse[1, 1], 0.0)) / size[1]
+    unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
+    whole[seen] = error
+    direction = 1.0 if factors[1] >= 0 else -1.0
+    tells = bool(abs(factors[1]) > _TELLS * known and unexplained < 0.9)
+    return Beside(replace(begun, direction=direction), float(factors[1]), unexplained, tells, whole, seen, step)
+
+
+def _relative(rows: Sequence[Beside]) -> list[Beside]:
+    """Divide every record's gain by the median, and note why a record does not belong to the others."""
+    gains = np.array([abs(row.gain) if row.tells else np.nan for row in rows])
+    if not np.isfinite(gains).any():
+        return [replace(row, gain=float("nan")) for row in rows]
+    logs = np.log(gains / np.nanmedian(gains))
+    usual = float(np.median([row.unexplained for row in rows]))
+    far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
+    spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
+    judgements = []
+    for row, log, off in zip(rows, logs, far, strict=True):
+        poor = bool(
+            row.unexplained > _UNEXPLAINED and np.log(row.unexplained / usual) > max(_SPREADS * spread, np.log(3.0))
+        )
+        judgements.append(
+            replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), bool(off), poor, usual))
+        )
+    return judgements
+
+
+def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
+    """Write why a record does not belong to the others; empty if it does."""
+    if off and not poor:
+        near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
+        if abs(np.log(gain / near)) < 0.3:
+            return f"moves {gain:.3g} times as far as the others under its input; check its unit and scale"
+        return f"moves {gain:.2g} times as far as the others under its input; check preload, scale and actuator"
+    if poor:
+        return (
+            f"does not fit the others: one linear model leaves {100 * row.unexplained:.0f} % of it unexplained and "
+            f"{100 * usual:.0f} % of most others; check whether actuator, input or "
+            "sensor changed, or whether the stroke is much larger there (hardening)"
+        )
+    return ""

@@ -1,0 +1,64 @@
+"""Parse numbers of the command line that may carry a unit: `3kV`, `20deg`, `5e4 V/s`.
+
+Without a unit a voltage is in V and a length in mm, and any other quantity in the unit of the model's records.
+"""
+
+import math
+import re
+from typing import NamedTuple
+
+from ...common.errors import BadInput
+from ...common.quantity import Quantity
+from ...common.units import kind_of, spelt, to_base, units_of_kind
+
+
+class Amount(NamedTuple):
+    """A number with its unit as the user wrote it; the unit is empty if there is none."""
+
+    value: float
+    unit: str
+
+    def __str__(self) -> str:
+        return f"{self.value:g}{self.unit}"
+
+
+def amount(text: str) -> Amount | None:
+    """Split text such as `3kV` into number and unit; return None if it is not a finite number with a known unit."""
+    found = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", text)
+    if found is None or not math.isfinite(float(found[1])):
+        return None
+    known = not found[2] or any(
+        kind_of(spelt(unit)) not in (None, "time") for unit in (found[2], _unit_of_rate(found[2]))
+    )
+    return Amount(float(found[1]), found[2]) if known else None
+
+
+def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool = False) -> float | None:
+    """Convert an option's value to base units (a rate: per second); None stays None.
+
+    Args:
+        given: the number with its unit.
+        option: its name, for the message.
+        quantity: its unit is taken for a number without one.
+        rate: per second.
+
+    Raises:
+        BadInput: a unit of another kind.
+    """
+    if given is None:
+        return None
+    unit = quantity.unit
+    if given.unit:
+        unit = spelt(_unit_of_rate(given.unit) if rate else given.unit) or ""
+        if unit not in units_of_kind(quantity.unit):
+            units = [Quantity(u).rate if rate else u for u in units_of_kind(quantity.unit)]
+            raise BadInput(f"{option} {given}: wrong kind of unit; give it in {', '.join(units)}")
+    return float(to_base(given.value, unit))
+
+
+def _unit_of_rate(unit: str) -> str:
+    """Remove one `per second` from a unit: kV from kV/s, deg/s from deg/s2; empty if there is none."""
+    found = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
+    if found is None:
+        return ""
+    return f"{found[1]}/s" if re.search(r"s(\^?2|²)$", unit) else found[1]

@@ -1,0 +1,78 @@
+"""`pitp check`: reports what was read, how each record starts, and whether the records suffice."""
+
+import os
+from pathlib import Path
+
+from ...common.units import base_unit, column_name
+from ...files.containers.options import folder_file
+from ...files.model_file.model_file import load
+from ...files.recordings.reading import read_each
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ..check.check import Check, checked
+from ..pages.check import page
+from .console import number, print_table, say
+from .outputs import check_outputs, staged
+from .recordings import recognised
+
+PAGE, SOURCE = "check.html", "source.toml"
+
+
+def check(records, model, out, json_file, reading) -> None:
+    """Check recordings, write the requested files, and print the result.
+
+    Args:
+        records: files and folders.
+        model: model file, or None.
+        out: folder for the records as read and the page, or None.
+        json_file: where to write the result as JSON, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Raises:
+        BadInput: nothing could be read; with nothing written.
+    """
+    check_outputs(json_file, folder=out, inputs=[*records, model])
+    loaded = load(model) if model else None
+    read_in, refused = read_each(records, reading)
+    for line in recognised(read_in):
+        say(line)
+    for line in refused.values():
+        say(f"warning: not read: {line}")
+    result = checked(read_in, loaded, refused)
+    files = {r.name: f"{r.name.lstrip('/')}.csv" for r in result.understood}
+    check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=[*records, model])
+    with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
+        if out is not None:
+            _write(result, files, stage)
+    _print(result)
+    if out is not None:
+        print(f"wrote {Path(out) / PAGE} and every recording as it was read")
+
+
+def _write(result: Check, files: dict[str, str], folder: Path) -> None:
+    for record in result.understood:
+        path = folder / files[record.name]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        drive = column_name("voltage", base_unit(record.voltage_unit))
+        output = column_name("displacement", base_unit(record.displacement_unit))
+        columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
+        write_csv(path, columns)
+    write_text_atomic(folder / PAGE, page(result))
+    said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
+    write_text_atomic(folder / SOURCE, folder_file(said))
+
+
+def _print(result: Check) -> None:
+    header = ("record", "drive", "band (Hz)", "begins", "zero", "+-", "unit", "dir", "noise", "missing", "outliers")
+    rows = []
+    for name, row in result.records.items():
+        band = "-" if row.band_hz is None else "-".join(dict.fromkeys(number(f, 3) for f in row.band_hz))
+        counts = ("-" if n is None else str(n) for n in (row.missing, row.outliers))
+        direction = "-" if row.direction is None else f"{row.direction:+d}"
+        figures = (number(row.zero), number(row.zero_stderr, 2), row.unit or "-", direction, number(row.noise, 2))
+        rows.append((name, row.excitation or "-", band, row.begins or "-", *figures, *counts))
+    print_table(header, rows)
+    for name, lines in result.problems.items():
+        for line in lines:
+            print(f"{name}: {line}")
+    for line in result.advice:
+        print(f"- {line}")

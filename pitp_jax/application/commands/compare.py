@@ -1,0 +1,97 @@
+"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of recordings."""
+
+import json
+import math
+from pathlib import Path
+
+from ...common.errors import BadInput
+from ...files.model_file.model_file import is_model_file, load
+from ...files.recordings.reading import read
+from ...files.recordings.writing import write_text_atomic
+from ..compare.comparison import compare as run_compare
+from ..compare.result import Comparison, Difference
+from ..pages.compare import figures, page
+from ..pages.drawn import write_figure
+from .console import number, print_table
+from .outputs import check_outputs, staged
+
+PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
+
+
+def compare(a, b, out, json_file, reading) -> None:
+    """Compare two inputs, write the requested files, and print the differences.
+
+    Args:
+        a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
+        out: folder for a page and its figures, or None.
+        json_file: where to write the comparison as JSON, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    check_outputs(json_file, folder=out, names=[PAGE], inputs=[a, b])
+    comparison = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
+    with staged(folder=out, json_file=json_file, value=comparison.as_json()) as stage:
+        if out is not None:
+            _write(comparison, stage)
+    _print(comparison)
+    if out is not None:
+        print(f"wrote {Path(out) / PAGE}")
+
+
+def _opened(path: str, reading: dict):
+    """Open a path as a model, as the JSON of a diagnosis, or as records."""
+    place = Path(path)
+    diagnosis = place / DIAGNOSIS if place.is_dir() else place
+    if diagnosis.is_file() and diagnosis.suffix == ".json":
+        return _diagnosis(diagnosis)
+    if place.is_file() and is_model_file(place):
+        return load(place)
+    return read(path, **reading)
+
+
+def _diagnosis(path: Path) -> dict:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError:
+        raise BadInput(f"{path}: is not JSON; give a file that `pitp diagnose --json` wrote") from None
+    if not isinstance(content, dict) or not {"verdict", "effects", "gap", "ranking"} <= content.keys():
+        raise BadInput(f"{path}: is not the JSON of a diagnosis; give a file that `pitp diagnose --json` wrote")
+    return content
+
+
+def _names(a: str, b: str) -> tuple[str, str]:
+    """Return two short names for two paths: file or folder names, or the whole paths if those are equal."""
+    short = (Path(a).name, Path(b).name)
+    return short if short[0] != short[1] and all(short) else (a, b)
+
+
+def _write(comparison: Comparison, folder: Path) -> None:
+    write_text_atomic(folder / PAGE, page(comparison))
+    for name, (drawn, columns) in figures(comparison).items():
+        write_figure(folder, name, drawn, columns)
+
+
+def _print(comparison: Comparison) -> None:
+    print(comparison.headline())
+    for line in comparison.remarks:
+        print(line)
+    rows = [r for r in comparison.rows if r.differs is not False]
+    if rows:
+        cells = [(r.what, _cell(r.a), _cell(r.b), r.unit, _interval(r), _words(r)) for r in rows]
+        print_table(("quantity", *comparison.names, "unit", "difference, 95 %", "differs"), cells)
+
+
+def _cell(value: float | str | None) -> str:
+    return value if isinstance(value, str) else number(value)
+
+
+def _interval(r: Difference) -> str:
+    return (
+        "-" if r.ci95 is None or not all(map(math.isfinite, r.ci95)) else " to ".join(number(end, 3) for end in r.ci95)
+    )
+
+
+def _words(r: Difference) -> str:
+    return "not known" if r.differs is None else "yes"

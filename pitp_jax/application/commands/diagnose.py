@@ -1,0 +1,301 @@
+"""`pitp diagnose`: reports where recordings and a model or simulator disagree, and which missing effect causes it."""
+
+import os
+import shlex
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from ...common.errors import BadInput
+from ...common.units import column_name, from_base
+from ...files.mjcf.document import read_document
+from ...files.mjcf.joint import joint_of
+from ...files.mjcf.write import identified_name, write_mjcf
+from ...files.model_file.model_file import save
+from ...files.recordings.reading import read
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ...method.diagnose.diagnosis import Diagnosis
+from ...method.model.lineage import descended
+from ..against.entry import diagnose as run_diagnosis
+from ..against.entry import with_lineage
+from ..against.result import SimToReal
+from ..compare.groups import groups_of
+from ..compare.pairing import pair_records
+from ..pages.against import figures as figures_beside
+from ..pages.against import page
+from ..pages.diagnosis.answers import NEXT_CSV
+from ..pages.diagnosis.figures import FIGURES, figures
+from ..pages.diagnosis.page import report
+from ..pages.drawn import write_figure
+from .console import StatusLine, number, print_table, say
+from .each import own_place
+from .ours import check_replaceable
+from .outputs import REPORT, check_outputs, staged, write_json
+from .recordings import open_both, read_records, warn
+from .verify import one_joint
+
+MODEL, JSON, ROBOT, MJCF_JSON = "model_augmented", "diagnosis.json", "robot.html", "mjcf.json"
+FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
+T = TypeVar("T")
+_ROWS = 8  # of the ranking on standard output
+
+
+def diagnose(
+    records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
+    joint=None, actuator=None, by_group=False,
+) -> None:  # fmt: skip
+    """Diagnose recordings, write the requested files, and print the result.
+
+    Args:
+        records: files and folders.
+        nominal: model file, identified or trained; None with `against`.
+        refit_nominal: whether its coefficients are fitted with every effect; always if the nominal was made from these
+            recordings.
+        seconds: of computing, or None.
+        out: folder for the augmented model, the report, its figures and the next experiment, or None.
+        json_file: where to write the result as JSON, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        against: recordings of a simulator instead of a model, or None.
+        position_gain: of the simulator's controller, with `against`.
+        mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's parameters is written to `out`.
+        joint: list with the name of the joint in that file.
+        actuator: its actuator, if there are several.
+        by_group: diagnose each group of the simulator's recordings separately.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out)
+    if by_group:
+        own = dict(refit_nominal=refit_nominal, seconds=seconds, reading=reading, position_gain=position_gain,
+                   mjcf=mjcf, joint=joint, actuator=actuator)  # fmt: skip
+        _by_group(records, against, out, json_file, reading, own)
+        return
+    if mjcf is not None:
+        given = joint_of(read_document(mjcf), one_joint(joint), actuator)
+        if given.position and position_gain is None:
+            position_gain = given.torque_per_command
+    _check_places(out, json_file, mjcf, [nominal, *records, *(against or ())])
+    status = StatusLine()
+    options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
+    if against is None:
+        model, read_in = open_both(nominal, records, reading)
+        warn(read_in)
+        say(f"diagnosing {nominal} on {len(read_in)} recording{'' if len(read_in) == 1 else 's'}")
+        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
+        augmented = descended(diagnosis.model, "diagnose", read_in, model)
+    else:
+        read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
+        warn(read_in)
+        groups = groups_of(simulated)
+        if groups is not None:
+            print(f"warning: {groups}", flush=True)
+        diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
+        robot, augmented = diagnosis.robot, with_lineage(diagnosis)
+    status.close()
+    csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
+    written = _write(diagnosis, augmented, read_in[0].voltage_unit, out, json_file, csv)
+    _attempt("the printed result", lambda: _print(diagnosis))
+    if mjcf is not None and isinstance(diagnosis, SimToReal):
+        _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
+    if out is not None:
+        _say_written(robot, Path(out), written, csv)
+    if robot.interrupted:
+        place = out or json_file
+        raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+
+
+def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
+    """Refuse options that contradict each other."""
+    if against is not None and refit_nominal:
+        raise BadInput(
+            "--refit-nominal only works with --nominal: a simulator's recordings contain no effect of the robot"
+        )
+    if against is None and position_gain is not None:
+        raise BadInput("--position-gain only works with --against: it is the gain of the simulator's controller")
+    if against is None and by_group:
+        raise BadInput("--by-group only works with --against: it groups the simulator's recordings")
+    if mjcf is not None and (against is None or out is None):
+        raise BadInput("--mjcf only works with --against and --out DIR: the changed file is written there")
+    if mjcf is None and (joint or actuator):
+        raise BadInput("--joint and --actuator only work with --mjcf XML")
+
+
+def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
+    """Refuse outputs that cannot be written, or that would replace the user's own files."""
+    made = [] if mjcf is None else [identified_name(mjcf)]
+    check_outputs(json_file, folder=out, names=[*FILES, *made], inputs=[*inputs, mjcf])
+    if out is None:
+        return
+    for name in made:
+        check_replaceable(Path(out) / name, Path(out) / name)
+    if not _is_drive(csv := Path(out) / NEXT_CSV):  # recorded, and saved under the name of the input file
+        check_replaceable(csv, csv)
+
+
+def _write(
+    diagnosis: Diagnosis | SimToReal, augmented, input_unit: str, out: str | None, json_file: str | None,
+    csv: str | None,
+) -> set[str]:  # fmt: skip
+    """Write the result, then the pages; return the names of the files written into the folder.
+
+    The result is written first, so a failure or interrupt in a figure or sentence cannot lose it.
+    """
+    written: set[str] = set()
+    with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
+        if out is not None:
+            write_json(stage / JSON, diagnosis.as_json(csv))
+            save(stage / MODEL, augmented)
+            _write_next(_robot_of(diagnosis), stage, input_unit)
+            written |= _files_in(stage)
+    if out is not None:
+        with staged(folder=out) as stage:
+            _write_pages(diagnosis, stage)
+            written |= _files_in(stage)
+    return written
+
+
+def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
+    """Remove files of an earlier diagnosis, and print the names of the written files."""
+    _tidy(out, written)
+    added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
+    page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
+    print(f"wrote {page_words}{out / MODEL} ({added})")
+    if csv is not None and robot.next_experiment is not None:
+        print(f"next experiment, to separate {' from '.join(robot.next_experiment.separates)}: {csv}")
+
+
+def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
+    return diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
+
+
+def _by_group(records, against, out, json_file, reading, own: dict) -> None:
+    """Diagnose each group of a simulator's recordings against the robot's recordings of the same commands.
+
+    Raises:
+        BadInput: a file holds recordings of several groups.
+    """
+    robot, simulated = (read(*paths, **reading) for paths in (records, against))
+    groups = groups_of(simulated)
+    if groups is None:
+        say("one linear model fits the simulator's recordings as well as several: they are one group")
+        diagnose(records, None, out=out, json_file=json_file, against=against, **own)
+        return
+    print(groups)
+    partners = [(pair.first.source, pair.second) for pair in pair_records(robot, simulated, shared="second").pairs]
+    sources = [{s.source for s in simulated if s.name in members} for members in groups.members]
+    if sum(map(len, sources)) > len(set().union(*sources)):
+        raise BadInput("--by-group: one file holds recordings of several groups; put each recording into its own file")
+    for k, (members, files) in enumerate(zip(groups.members, sources, strict=True), 1):
+        print(f"== group {k}: {', '.join(members)}")
+        mine = list(dict.fromkeys(source for source, other in partners if other.name in members))
+        if not mine:
+            say(f"warning: group {k} is left out because no recording of the robot has the same command")
+            continue
+        place, json_place = (None if path is None else own_place(path, f"group{k}") for path in (out, json_file))
+        diagnose(mine, None, out=place, json_file=json_place, against=sorted(files), **own)
+
+
+def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
+    """Write a changed MuJoCo file into the folder, and print the changes and the parameters that it cannot hold."""
+    found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
+    if found is not None:
+        write_json(Path(out) / MJCF_JSON, found.as_json())
+        for line in found.lines():
+            print(line)
+        words = ["pitp", "verify", *records, "--mjcf", str(found.file), "--before", mjcf, "--joint", joint]
+        print(f"wrote {found.file}; to verify it in MuJoCo: {shlex.join(words)}")
+
+
+def _files_in(stage: Path) -> set[str]:
+    return {path.relative_to(stage).as_posix() for path in stage.rglob("*")}
+
+
+def _attempt(what: str, make: Callable[[], T]) -> T | None:
+    """Call `make`; if it fails, print a warning and return None, so that the rest of the result is still written."""
+    try:
+        return make()
+    except Exception as error:
+        if os.environ.get("PITP_TRACEBACK"):
+            traceback.print_exc()
+        reason = f"{type(error).__name__}: {error}"
+        say(f"warning: {what} failed ({reason}); the rest of the result is complete")
+        return None
+
+
+def _is_drive(file: Path) -> bool:
+    """Return whether pitp may overwrite a CSV file: it does not exist, or holds only time and input."""
+    if not file.is_file():
+        return True
+    with open(file, encoding="utf-8", errors="replace") as stream:
+        return stream.readline(200).count(",") == 1
+
+
+def _tidy(folder: Path, written: set[str]) -> None:
+    """Remove files that an earlier diagnosis wrote and this one did not, and print their names."""
+    old = sorted(name for name in {*FILES} - written if (folder / name).is_file())
+    for name in old:
+        (folder / name).unlink()
+    if old:
+        print(f"removed from {folder}, of an earlier diagnosis: {', '.join(old)}")
+
+
+def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
+    """Write the pages and their figures into a folder; those that fail are reported and left out."""
+    robot = _robot_of(diagnosis)
+
+    def write(name, drawing, columns=None):
+        _attempt(f"the figure {name}", lambda: write_figure(folder, name, drawing, columns))
+
+    drawn = _attempt("the figures", lambda: figures(robot)) or {}
+    for name, drawing in drawn.items():
+        write(name, drawing)  # before the page, which makes it small
+    robot_page = REPORT if robot is diagnosis else ROBOT
+    _attempt(robot_page, lambda: write_text_atomic(folder / robot_page, report(robot, drawn)))
+    if isinstance(diagnosis, SimToReal):
+        beside = _attempt("the figures of robot and simulator", lambda: figures_beside(diagnosis)) or {}
+        for name, (drawing, columns, _) in beside.items():
+            write(name, drawing, columns)
+        _attempt(REPORT, lambda: write_text_atomic(folder / REPORT, page(diagnosis, beside)))
+
+
+def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
+    """Write the input of the proposed next experiment as CSV, if there is one."""
+    if robot.next_experiment is not None:
+        unit = "V" if input_unit.endswith("V") else input_unit
+        drive = from_base(robot.next_experiment.voltage, unit)
+        write_csv(folder / NEXT_CSV, {"time_s": robot.next_experiment.time, column_name("voltage", unit): drive})
+
+
+def _print(diagnosis: Diagnosis | SimToReal) -> None:
+    """Print the verdict, then the ranking of effects or the table of simulator and robot parameters."""
+    if not isinstance(diagnosis, SimToReal):
+        print(diagnosis)
+        _print_ranking(diagnosis)
+        return
+    print(diagnosis.robot)
+    rows = [
+        (p.words, number(p.simulator), number(p.robot), number(p.difference), number(p.stderr, 2), p.unit, p.mujoco)
+        for p in diagnosis.parameters
+    ]
+    print_table(("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo"), rows)
+    for line in diagnosis.remarks():
+        print(line)
+
+
+def _print_ranking(diagnosis: Diagnosis) -> None:
+    """Print the best candidate effects; * marks those that are reported, = those that fit as well as the first."""
+    rows = []
+    for r in diagnosis.ranking[:_ROWS]:
+        mark = " =" if r.effect in diagnosis.equivalent else ""
+        mark = " *" if r.effect in diagnosis.effects else mark
+        ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
+        closed = None if r.closed_fraction is None else 100 * r.closed_fraction
+        rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
+    print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
+    more = len(diagnosis.ranking) - len(rows)
+    if more > 0:
+        print(f"and {more} more, which --json and the report list")

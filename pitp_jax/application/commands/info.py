@@ -1,0 +1,57 @@
+"""`pitp info`: prints what a model file holds and how the model was made."""
+
+from ...common.errors import BadInput
+from ...files.model_file.model_file import digest, load
+from ...method.model.fitted import Fitted
+from ..pages.description import describe
+from .console import number
+from .outputs import check_outputs, write_json
+from .reports import print_model
+
+
+def info(model, others, json_file) -> None:
+    """Print a model's order, coefficients, modes, training history and lineage.
+
+    Args:
+        model: model file.
+        others: further files; must be empty.
+        json_file: where to write the same as JSON, or None.
+
+    Raises:
+        BadInput: not a usable model file, or more than one.
+    """
+    if others:
+        raise BadInput(f"info describes one model; to see the differences: pitp compare {model} {others[0]}")
+    check_outputs(json_file, inputs=[model])
+    loaded = load(model)
+    summary = traced(loaded)
+    write_json(json_file, summary)
+    print_model(loaded, summary)
+    print_lineage(summary)
+
+
+def traced(model: Fitted) -> dict:
+    """Return the model in plain values, with the file's checksum, adaptations and lineage."""
+    origin = model.origin
+    return {
+        **describe(model),
+        "digest": digest(model),
+        "adapted": list(origin.adapted),
+        "lineage": list(origin.lineage),
+    }
+
+
+def print_lineage(summary: dict) -> None:
+    """Print adaptations and every step by which the model was made, with checksums of the recordings."""
+    for entry in summary["adapted"]:
+        for name, c in entry["changed"].items():
+            low, high = c["ci95"]
+            unchanged = ", unchanged within its interval" if low <= 1 <= high else ""
+            print(f"adapted: {name} times {number(c['factor'])} ({number(low)} to {number(high)}){unchanged}")
+    print(f"this model: sha256 {summary['digest']}")
+    for entry in summary["lineage"]:
+        versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())
+        parent = f" from {entry['parent']}" if entry.get("parent") else ""
+        print(f"{entry.get('step', '?')}{parent} with {versions}")
+        for r in entry.get("records", []):
+            print(f"  {r['sha256']}  {r['name']}{'' if r.get('of') == 'file' else ' (samples)'}")

@@ -1,0 +1,114 @@
+"""`pitp plan`: proposes recordings to take, as CSV files to play, a page with their purpose, and plan.json."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import BadInput
+from ...common.quantity import Quantity, Units
+from ...common.units import column_name, spelt
+from ...files.model_file.model_file import is_model_file, load
+from ...files.recordings.reading import read
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ...method.model.units import units_of
+from ..pages.plan import headline, page
+from ..plan.planning import REACHED, Plan
+from ..plan.planning import plan as make_plan
+from .amounts import Amount, in_base
+from .compatibility import check_belongs
+from .console import number, print_table
+from .outputs import check_outputs, staged, write_json
+from .recordings import is_square, read_records
+
+PAGE, JSON = "plan.html", "plan.json"
+
+
+def plan(
+    paths, out, choose_from, max_voltage, max_slew, max_displacement, band, reading, json_file=None, **more
+) -> None:
+    """Plan recordings, write the inputs, the page and the JSON, and print them in order.
+
+    Args:
+        paths: none, or a model file and the records it was trained on.
+        out: folder to write to.
+        choose_from: folder of existing recordings to rank instead, or None.
+        max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
+        max_displacement: limit from the position at zero input, or None.
+        band: lowest and highest frequency in Hz, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+        json_file: where to write plan.json once more, or None.
+        more: duration, rest, rate, alternate, seed of `pitp.plan`.
+
+    Raises:
+        BadInput, ComputationFailed: with nothing written.
+    """
+    given, records = _sorted(paths)
+    check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=[*paths, choose_from])
+    model = None if given is None else load(given)
+    square = model is None or is_square(model)
+    read_in = read_records(records, reading, square=square) if records else ()
+    others = read(choose_from, **reading) if choose_from else ()
+    for taken in (read_in, others):
+        if taken and model is not None:
+            check_belongs(model, str(given), taken)
+    units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)
+    planned = make_plan(
+        model, read_in, choose_from=others, band=band and tuple(band), units=units, **more,
+        max_voltage=in_base(max_voltage, units.max_input, units.input),
+        max_slew=in_base(max_slew, units.max_rate, units.input, rate=True),
+        max_displacement=in_base(max_displacement, units.max_output, units.limit),
+    )  # fmt: skip
+    files = [f"{r.name.replace('/', '_')}.csv" for r in planned.recordings]
+    check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=[*paths, choose_from])
+    summary = planned.as_json() | {"files": files}
+    with staged(folder=out, json_file=json_file, value=summary) as stage:
+        for file, r in zip(files, planned.recordings, strict=True):
+            drive = units.input
+            write_csv(stage / file, {"time_s": r.time, column_name("voltage", drive.unit): drive.shown(r.voltage)})
+        write_text_atomic(stage / PAGE, page(planned, given or ""))
+        write_json(stage / JSON, summary)
+    _print(planned, given is not None)
+    print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
+
+
+def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
+    """Separate the paths, given in any order, into the model file and the recordings."""
+    if not paths:
+        return None, []
+    models = [p for p in paths if Path(p).is_file() and is_model_file(p)]
+    if len(models) != 1:
+        found = f"{', '.join(models)}: several model files" if models else f"{paths[0]}: is not a model file"
+        raise BadInput(f"{found}; give one model file and the recordings that it was trained on")
+    return models[0], [p for p in paths if p != models[0]]
+
+
+def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
+    """Return the units of a first session: those of the stated limits, otherwise V and m."""
+    units = [spelt(given.unit) if given and given.unit else None for given in (largest, farthest)]
+    return Units(Quantity(units[0] or "V"), Quantity(units[1] or "m"))
+
+
+def _print(planned: Plan, modelled: bool) -> None:
+    drive, stroke = planned.limits.units.input, planned.limits.units.limit
+    print(headline(planned, modelled))
+    rows = []
+    for r in planned.recordings:
+        inputs = (number(float(drive.shown(np.abs(r.voltage).max()))), number(drive.shown(r.slew)))
+        expected = (number(stroke.shown(r.stroke), 3), number(stroke.shown(r.stroke_half_damped), 3))
+        bound = "" if np.isinf(r.go_on) else number(stroke.shown(r.go_on), 3)
+        rows.append((r.name, number(r.seconds), *inputs, *expected, bound, r.purpose))
+    if rows:
+        strokes = (
+            f"stroke ({stroke.unit})",
+            "stroke with half the damping",
+            "play it only if no earlier stroke exceeded",
+        )
+        print_table(
+            ("recording", "seconds", f"largest ({drive.unit})", f"steepest ({drive.rate})", *strokes, "purpose"),
+            rows,
+        )
+    if any(np.isfinite(r.go_on) for r in planned.recordings):
+        print(REACHED)
+    for note in planned.notes:
+        print(f"note: {note}")

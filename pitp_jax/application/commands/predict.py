@@ -1,0 +1,184 @@
+"""`pitp predict`: simulates a model under the input of every record and reports the errors."""
+
+import math
+import statistics
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import ComputationFailed
+from ...common.metrics import e_rms_percent, nrmse_percent, rmse
+from ...common.units import column_name, from_base
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ...method.model.expected_error import Expected, expected_error
+from ...method.signal.initial_state import Beginning
+from ...method.signal.record import Record
+from ...method.simulate.prediction import Prediction
+from ...method.simulate.prediction import predict as run_predict
+from .console import number, print_table
+from .outputs import REPORT, check_outputs, staged
+from .recordings import open_both
+from .reports import listed, print_sensors
+
+_CERTAIN = 0.9  # probability of a record's start; a smaller one is printed
+
+
+def predict(model, records, out, json_file, reading) -> None:
+    """Simulate every record, write the requested files, and print the errors.
+
+    Args:
+        model: model file.
+        records: files and folders.
+        out: folder for one CSV per record and a page, or None.
+        json_file: where to write the scores as JSON, or None.
+        reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: every record diverged; the results are written.
+    """
+    check_outputs(json_file, folder=out, inputs=[model, *records])
+    loaded, read_in = open_both(model, records, reading)
+    files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
+    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[model, *records])
+    predictions = run_predict(loaded, read_in)
+    scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
+    result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
+    with staged(folder=out, json_file=json_file, value=result) as stage:
+        if out is not None:
+            from ..pages.fit_page import fit_page  # imported here, because matplotlib takes half a second
+
+            for record, prediction, file in zip(read_in, predictions, files, strict=True):
+                _write_record(stage / file, record, prediction)
+            write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
+    _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
+    if open_ones := [p.name for p in predictions if p.start_certainty < _CERTAIN]:
+        print(
+            f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "
+            "error may come from this; record a second of rest at 0 V first"
+        )
+    print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
+    if all(row["diverged"] for row in scores.values()):
+        raise ComputationFailed(
+            f"{model} diverged on every recording; check units and columns, or train on more recordings of this kind"
+        )
+
+
+def score(record: Record, prediction: Prediction) -> dict:
+    """Return the errors and counts of one record; the errors are None if the simulation diverged.
+
+    `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
+    the ones the initial state was estimated from. `rmse` is in the record's own unit.
+    """
+    metrics: dict[str, float | None] = dict.fromkeys(
+        ("e_rms_percent", "zero_fitted_e_rms_percent", "nrmse_percent", "rmse")
+    )
+    error = np.where(prediction.scored, prediction.displacement - record.displacement, np.nan)
+    if not prediction.diverged:
+        measured = (prediction.displacement, record.displacement, prediction.scored)
+        metrics["e_rms_percent"] = _finite(e_rms_percent(*measured))
+        fitted = prediction.displacement - np.nanmean(error) if np.isfinite(error).any() else prediction.displacement
+        metrics["zero_fitted_e_rms_percent"] = _finite(e_rms_percent(fitted, *measured[1:]))
+        metrics["nrmse_percent"] = _finite(nrmse_percent(*measured))
+        metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit))
+    return {
+        **metrics,
+        "rmse_unit": record.displacement_unit,
+        "begins": prediction.begins,
+        "zero": {
+            "value": from_base(prediction.zero, record.displacement_unit),
+            "stderr": _finite(from_base(prediction.zero_stderr, record.displacement_unit)),
+            "unit": record.displacement_unit,
+        },
+        "direction": int(prediction.direction),
+        "samples": record.samples,
+        "missing": record.missing,
+        "initial_samples": int((~prediction.scored).sum()),
+        "diverged": bool(prediction.diverged),
+        "outside_training_share": float(prediction.outside_training_share),
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def median_e_rms(rows: Sequence[dict]) -> float | None:
+    """Return the median error over records, % of range; None if it is infinite or there is no error."""
+    values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
+    values = [value for value in values if value is not None]
+    return _finite(statistics.median(values)) if values else None
+
+
+def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
+    volts, unit = record.voltage_unit, record.displacement_unit
+    columns = {
+        "time_s": record.time,
+        column_name("voltage", volts): from_base(record.voltage, volts),
+        column_name("displacement", unit): from_base(record.displacement, unit),
+        f"predicted_{unit}": from_base(prediction.displacement, unit),
+    }
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(path, columns)
+
+
+def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:
+    """Return initial states in which records with an unusual sensor offset form a second group.
+
+    The tolerance is 4 standard errors and 0.2 % of the record's range; an unknown offset is ignored.
+    """
+    known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
+    middle, begun = float(np.median(known)) if known else 0.0, {}
+    for record, p in zip(records, predictions, strict=True):
+        may = 4 * p.zero_stderr + 0.002 * record.span
+        apart = math.isfinite(may) and abs(p.zero - middle) > may
+        begun[p.name] = Beginning(p.begins, p.direction, p.zero, p.zero_stderr, int(apart))
+    return begun
+
+
+def _shown(expected: Expected | None, prediction: Prediction) -> str:
+    """Write the error to expect for a record, or `unknown` where the model was not trained with such an input."""
+    if prediction.not_excited:
+        return "unknown"
+    return "-" if expected is None else number(expected.percent, 2)
+
+
+def _print_scores(result: dict, predictions: Sequence[Prediction], expected: Sequence[Expected | None]) -> None:
+    shown = [_shown(e, p) for e, p in zip(expected, predictions, strict=True)]
+    header = (
+        "record",
+        "e_rms (%)",
+        "nrmse (%)",
+        "rmse",
+        "unit",
+        "samples",
+        "missing",
+        "outside (%)",
+        "expected (%)",
+        "",
+    )
+    rows = []
+    for (name, row), error in zip(result["records"].items(), shown, strict=True):
+        scores = (number(row[key], 3) for key in ("e_rms_percent", "nrmse_percent", "rmse"))
+        outside = number(100 * row["outside_training_share"], 3)
+        note = "no motion to score" if row["e_rms_percent"] is None else ""
+        note = "diverged" if row["diverged"] else note
+        rows.append((name, *scores, row["rmse_unit"], str(row["samples"]), str(row["missing"]), outside, error, note))
+    print_table(header, rows)
+    median = result["median_e_rms_percent"]
+    infinite = any(row["diverged"] for row in result["records"].values())
+    print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
+    if sources := dict.fromkeys(e.source for e in expected if e is not None):
+        print(f"expected: e_rms of a recording that was not used for training ({'; '.join(sources)})")
+    for p in predictions:
+        if p.outside_training:
+            print(f"{p.name}: outside the trained region: {p.outside_training}")
+        if p.not_excited:
+            print(f"{p.name}: {p.not_excited} No figure is known for its error.")
+        if p.estimated_start:
+            used = int((~p.scored).sum())
+            print(
+                f"{p.name}: starts moving; its initial state was estimated from the first {used} samples, which are "
+                "not scored"
+            )

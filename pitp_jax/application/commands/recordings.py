@@ -1,0 +1,82 @@
+"""Read the recordings of a command, and report what was recognised, one line per kind of file."""
+
+from collections.abc import Sequence
+
+from ...files.model_file.model_file import load
+from ...files.recordings.plausible import monitor_warning
+from ...files.recordings.reading import read
+from ...files.recordings.remarks import Remark, by_kind
+from ...method.model.fitted import Fitted
+from ...method.model.input_map import SquareInput
+from ...method.signal.record import Record
+from .compatibility import check_belongs
+from .console import say
+
+
+def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[Record, ...]:
+    """Read recordings, and print what was recognised, what was masked, and what looks wrong.
+
+    Args:
+        paths: files and folders.
+        reading: keyword arguments of `pitp.read`.
+        square: whether the force is known to be the square of the voltage.
+
+    Raises:
+        BadInput: as `pitp.read`.
+    """
+    records = read(*paths, **reading)
+    for line in recognised(records):
+        say(line)
+    warning = monitor_warning(records) if square else None
+    if warning:
+        say(f"warning: {warning}")
+    return records
+
+
+def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted, tuple[Record, ...]]:
+    """Load a model, and read recordings that can belong to it.
+
+    Args:
+        model: model file.
+        records: files and folders.
+        reading: keyword arguments of `pitp.read`.
+
+    Raises:
+        BadInput: one cannot be read, or they do not belong together.
+    """
+    loaded = load(model)
+    read_in = read_records(records, reading, square=is_square(loaded))
+    check_belongs(loaded, model, read_in)
+    return loaded, read_in
+
+
+def warn(records: Sequence[Record]) -> None:
+    """Print the warnings of `pitp check` that need no fit, on standard error."""
+    from ..check.one_record import quick_problems  # imported here: a third of a command's modules
+
+    for line in quick_problems(records):
+        say(f"warning: {line}")
+
+
+def recognised(records: Sequence[Record]) -> list[str]:
+    """Write a line for every kind of file among the records, then one for every kind of remark."""
+    kinds: dict[str, list[str]] = {}
+    remarks: list[Remark] = []
+    for record in records:
+        seen = record.recognised
+        if seen:
+            kind = f"{seen['file']}; time {seen['time']}, input {seen['input']}, output {seen['output']}"
+            kinds.setdefault(kind, []).append(record.name)
+            remarks += seen["findings"]
+    count = [f"{len(names)} recording{'s' if len(names) > 1 else ''}" for names in kinds.values()]
+    lines = [f"read {many} ({_some(names)}): {kind}" for many, (kind, names) in zip(count, kinds.items(), strict=True)]
+    return lines + by_kind(remarks)
+
+
+def _some(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+
+
+def is_square(model: Fitted) -> bool:
+    """Return whether the square of the voltage drives the model (otherwise the voltage itself)."""
+    return isinstance(model.input_map, SquareInput)

@@ -1,0 +1,113 @@
+"""`pitp simulate`: computes the displacement of a model under given voltages."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import ComputationFailed
+from ...common.units import column_name, from_base
+from ...files.model_file.model_file import load
+from ...files.recordings.voltage_file import Drive, read_voltage
+from ...files.recordings.writing import write_csv
+from ...method.model.coordinate import Zero
+from ...method.model.coverage import input_beyond, input_words
+from ...method.model.fitted import Fitted
+from ...method.model.units import units_of
+from ...method.signal.sets import RATE_TOLERANCE
+from ...method.simulate.voltage_only import rollout
+from .console import number, print_table, say
+from .outputs import check_outputs, staged
+
+
+def simulate(model, voltages, out, zero, json_file, reading) -> None:
+    """Simulate the model under voltages from files, write the requested files, and print the ranges.
+
+    Args:
+        model: model file.
+        voltages: files and folders of time and voltage.
+        out: folder for one CSV per voltage, or None.
+        zero: "rest", "sensor", or the displacement at 0 V, in the unit of the model's records.
+        json_file: where to write the ranges as JSON, or None.
+        reading: keyword arguments of `pitp.read_voltage`: columns, units, scale, rate.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: every run diverged; the results are written.
+    """
+    check_outputs(json_file, folder=out, inputs=[model, *voltages])
+    loaded = load(model)
+    drives = read_voltage(*voltages, **reading)
+    files = [f"{d.name.lstrip('/')}.csv" for d in drives]
+    check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
+    _tell(loaded, model, drives)
+    output = units_of(loaded).output
+    unit = output.unit
+    at_rest: Zero = zero if zero in ("rest", "sensor") else float(output.base(zero))
+    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
+    rows = {d.name: _row(loaded, d, x, unit) for d, x in zip(drives, runs, strict=True)}
+    with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
+        if out is not None:
+            for drive, x, file in zip(drives, runs, files, strict=True):
+                _write(stage / file, drive, x, unit)
+    header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
+    table = []
+    for name, row in rows.items():
+        reached = (number(row["lowest"]), number(row["highest"]), "diverged" if row["diverged"] else "")
+        table.append((name, str(row["samples"]), row["begins"], *reached))
+    print_table(header, table)
+    if all(row["diverged"] for row in rows.values()):
+        raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
+
+
+def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
+    """Print what was recognised in the files, and which voltages lie outside the model's range."""
+    for drive in drives:
+        for line in drive.remarks:
+            say(line)
+    (low, high), units = model.domain.voltage_range, units_of(model)
+    for drive in drives:
+        if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
+            say(
+                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, the recordings of {path} every "
+                f"{model.dt:.6g} s; expect larger errors with coarser sampling"
+            )
+        if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
+            seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
+            times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
+            say(
+                f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
+                f"by {100 * times:.2g} % of that range's width"
+            )
+        if words := input_words(model, input_beyond(model, drive.voltage, drive.dt)):
+            say(f"warning: {drive.name}: {words}")
+        if drive.voltage[0] != 0:
+            say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
+
+
+def _range(values: np.ndarray) -> tuple[float, float]:
+    return float(values.min()), float(values.max())
+
+
+def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
+    shown = from_base(x[np.isfinite(x)], unit)
+    return {
+        "samples": len(x),
+        "begins": "held" if drive.voltage[0] != 0 else "rest",
+        "lowest": float(shown.min()) if len(shown) else math.nan,
+        "highest": float(shown.max()) if len(shown) else math.nan,
+        "unit": unit,
+        "diverged": bool(np.isnan(x).any()),
+        "outside_training_share": input_beyond(model, drive.voltage, drive.dt).fraction,
+    }
+
+
+def _write(path: Path, drive: Drive, x: np.ndarray, unit: str) -> None:
+    volts = drive.voltage_unit
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_csv(path, {
+        "time_s": drive.time,
+        column_name("voltage", volts): from_base(drive.voltage, volts),
+        column_name("displacement", unit): from_base(x, unit),
+    })  # fmt: skip

@@ -1,0 +1,77 @@
+"""`pitp verify`: compares a robot with its MuJoCo model, before and after the file was changed."""
+
+from ...common.errors import BadInput, ComputationFailed
+from ...common.units import from_base
+from ...files.mjcf.verify import Verification, verify_mjcf
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ..pages.drawn import write_picture
+from ..pages.mjcf import figures, page
+from .console import number, print_table
+from .outputs import REPORT, check_outputs, staged
+from .recordings import read_records
+
+
+def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, reading) -> None:
+    """Simulate the recorded commands in MuJoCo, write the requested files, and print the errors.
+
+    Args:
+        records: files and folders: recordings that the diagnosis used.
+        mjcf: the changed file.
+        before: the file as it was, or None.
+        joint: list with its name.
+        actuator: its name, if several act on the joint.
+        held_out: files and folders of recordings that the diagnosis did not use.
+        out: folder for a page, and one CSV and one figure per record, or None.
+        json_file: where to write the gaps for machines, or None.
+        reading: keyword arguments of `pitp.read`.
+
+    Raises:
+        BadInput: with nothing written.
+        ComputationFailed: the changed file is not better beyond the noise; the results are written.
+    """
+    inputs = [mjcf, before, *records, *held_out]
+    check_outputs(json_file, folder=out, inputs=inputs)
+    used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
+    files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
+    if len(set(files)) < len(files):
+        raise BadInput("a held-out recording has the same name as another recording; rename one of them")
+    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=inputs)
+    found = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
+    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+        if out is not None:
+            for played, file in zip(found.played, files, strict=True):
+                columns = {"time_s": played.record.time}
+                unit = played.record.displacement_unit
+                series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
+                columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
+                write_csv(stage / file, columns)
+            drawn = figures(found)
+            for name, drawing in drawn.items():
+                write_picture(stage, name.lstrip("/"), drawing)
+            write_text_atomic(stage / REPORT, page(found, drawn))
+    _print(found)
+    if found.better is False:
+        raise ComputationFailed(f"{mjcf} is not significantly better than {before}; keep the old file")
+
+
+def one_joint(joint: list[str] | None) -> str:
+    """Return the name of the joint if exactly one is given.
+
+    Raises:
+        BadInput: none or several.
+    """
+    if not joint:
+        raise BadInput("--mjcf needs --joint NAME, the joint whose motion was recorded")
+    if len(joint) > 1:
+        raise BadInput("several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order")
+    return joint[0]
+
+
+def _print(found: Verification) -> None:
+    rows = []
+    for p in found.played:
+        before = "-" if p.before is None else number(p.gap(after=False), 3)
+        rows.append((p.record.name, "no" if p.held_out else "yes", before, number(p.gap(), 3)))
+    print_table(("recording", "used by the diagnosis", "gap before (%)", "gap after (%)"), rows)
+    for line in found.lines():
+        print(line)

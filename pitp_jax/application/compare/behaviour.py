@@ -1,0 +1,213 @@
+"""Compare the responses of two models to the same inputs within their common training range.
+
+    U_k = U_low + f_k (U_high - U_low)                              operating points f = 0.25, 0.6, 0.95
+    x_k: settled displacement at U_k,      dF/dx: static stiffness there, from x(U_k +- dU)
+    s_{t+1} = A s_t + B dV,  dx = C s      the decoder step, linearised at the settled state
+    z = eig(A),  p = ln(z) / dt            resonance |p| and damping -Re p / |p| of the mode with the largest residue
+
+Each model has an error e on its own recordings (rms, % of range). Changing a coefficient by the fraction h changes the
+free run by d(h) % of range, so a coefficient is known to e h / d(h) at best. The two models differ where their
+difference exceeds 1.96 times both of these combined. Two free runs of one sweep differ where their rms difference
+exceeds both e.
+"""
+
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...common.numbers import number
+from ...common.quantity import Units
+from ...common.units import base_unit
+from ...method.model.fitted import Fitted
+from ...method.model.model import Model
+from ...method.model.programs import jit
+from ...method.model.units import units_of
+from ...method.simulate.beginnings import held_states
+from ...method.simulate.decoder import step
+from ...method.simulate.voltage_only import rollout
+from .result import Difference, measured
+
+_POINTS = (0.25, 0.6, 0.95)
+_SMALL = 0.01  # of the common input range: half the step of the static stiffness
+_STEP = 0.05  # relative change of a coefficient for its standard error
+_PERIODS, _MOST = 60, 20_000  # of the faster model in the sweep; its samples
+
+
+@dataclass(frozen=True)
+class Behaviour:
+    """The responses of one model to the inputs that both models know, with standard errors (None: error unknown).
+
+    Attributes:
+        run: displacement in the sweep from its first sample on, m.
+        own: rms error on the model's own recordings, m; None if unknown.
+        settled: displacement at every operating point, m.
+        stiffness: dF/dx there; resonance_hz, damping: of the mode that moves the displacement most; nan without one.
+        errors: standard errors of ln stiffness, ln resonance and ln damping.
+    """
+
+    run: Float[np.ndarray, " time"]
+    own: float | None
+    settled: Float[np.ndarray, " points"]
+    stiffness: Float[np.ndarray, " points"]
+    resonance_hz: Float[np.ndarray, " points"]
+    damping: Float[np.ndarray, " points"]
+    errors: tuple[float | None, ...]
+
+
+def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | None]:
+    """Compare displacement, stiffness, resonance and damping of two models at three inputs, and one simulated sweep.
+
+    Returns:
+        rows, and a sentence with the reason if there are none; one of the two is empty.
+    """
+    if why := _apart(a, b):
+        return [], why
+    low, high = _common_range(a, b)
+    points = low + np.array(_POINTS) * (high - low)
+    drive, dt = _sweep(a, b, low, high)
+    one, two = (_behaviour(m, points, _SMALL * (high - low), drive, dt) for m in (a, b))
+    rows = [_free_run_row(one, two)]
+    units = units_of(a)
+    for k, level in enumerate(points):
+        rows += _rows_at(one, two, k, f"at {units.input.text(level)}", units)
+    return rows, None
+
+
+def _apart(a: Fitted, b: Fitted) -> str | None:
+    if a.input_map.name != b.input_map.name:
+        return "The models have different input maps, so their responses were not compared."
+    units = [(base_unit(m.origin.voltage_unit), base_unit(m.origin.displacement_unit)) for m in (a, b)]
+    if units[0] != units[1]:
+        return "The models have inputs or outputs of different kinds, so their responses were not compared."
+    low, high = _common_range(a, b)
+    if not (np.isfinite([low, high]).all() and high > low):
+        return "The models have no known common input range, so their responses were not compared."
+    return None
+
+
+def _common_range(a: Fitted, b: Fitted) -> tuple[float, float]:
+    ranges = np.stack([m.domain.voltage_range for m in (a, b)])
+    low = ranges[:, 0].max()
+    return float(max(low, 0.0) if a.input_map.one_sided else low), float(ranges[:, 1].min())
+
+
+def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, float]:
+    """Return a sweep of the input up to twice the higher resonance of two models, and its sampling interval (s)."""
+    hertz = max(m.natural_frequency for m in (a, b)) / (2 * np.pi)
+    duration = _PERIODS / hertz
+    dt = max(min(a.dt, b.dt), duration / _MOST)
+    t = dt * np.arange(round(duration / dt))
+    first, last = hertz / 20, min(2 * hertz, 0.2 / dt)
+    ratio = np.log(last / first)
+    phase = 2 * np.pi * first * duration / ratio * np.expm1(t / duration * ratio)
+    return low + 0.48 * (high - low) * (1 - np.cos(phase)), dt
+
+
+def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarray, dt: float) -> Behaviour:
+    model = fitted.model
+    run = _run(model, drive, dt)
+    span = float(np.ptp(run))
+    percent = own_error(fitted)
+    own = None if percent is None else percent * span / 100
+    errors = tuple(None if own is None else _error_of(model, k, run, own, drive, dt) for k in (None, 2, 1))
+    levels = np.stack([points - small, points, points + small])
+    states, by_state, by_input = map(np.asarray, _linearised(model, jnp.asarray(levels, np.float32), model.dt))
+    below, at, above = states[..., 0].astype(np.float64) * float(model.scales.state[0])
+    forces = np.asarray(model.input_map.force(levels))
+    modes = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)])
+    return Behaviour(run, own, at, (forces[2] - forces[0]) / (above - below), modes[:, 0], modes[:, 1], errors)
+
+
+def own_error(fitted: Fitted) -> float | None:
+    """Return the model's rms error on its training recordings, % of range; None if unknown."""
+    training = fitted.origin.training or {}
+    errors = [pair[1] for pair in training.get("errors", {}).values()]
+    if errors:
+        return float(np.sqrt(np.mean(np.square(errors))))
+    return float(fitted.origin.level) if np.isfinite(fitted.origin.level) else None
+
+
+def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
+    """Simulate the sweep; return the displacement relative to the first sample, m, without the sensor's direction."""
+    run = rollout(model, drive, dt, begins="rest")
+    return float(model.output.polarity) * (run - run[0])
+
+
+def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, dt: float) -> float | None:
+    """Return the standard error of the logarithm of a stiffness, resonance or damping: the change that errors hide."""
+    if k is not None and k > model.order:
+        return None
+    factors = np.full(model.order + 1, 1 + _STEP) if k is None else np.where(np.arange(model.order + 1) == k, 1.05, 1.0)
+    coefficients = model.coefficients * jnp.asarray(factors, model.coefficients.dtype)
+    moved = _run(replace(model, coefficients=coefficients), drive, dt)
+    change = float(np.sqrt(np.mean((moved - run) ** 2)))
+    if not change > 0:
+        return None
+    return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
+
+
+@jit
+def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
+    """Return scaled states for three rows of constant inputs, and A, B of one time step about the middle row."""
+    flat = levels.ravel().astype(model.coefficients.dtype)
+    states = held_states(model, flat, dt, jnp.zeros_like(flat)).reshape(*levels.shape, -1)
+
+    def after(state, volts):
+        return step(model, state, jnp.full((2 * model.substeps + 1,), volts), dt)
+
+    return states, *jax.vmap(jax.jacfwd(after, (0, 1)))(states[1], flat.reshape(levels.shape)[1])
+
+
+def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float, float]:
+    """Return frequency (Hz) and damping ratio of the oscillation that moves the displacement most; nan without one."""
+    if not np.isfinite(by_state).all():
+        return np.nan, np.nan
+    z, vectors = np.linalg.eig(by_state.astype(np.float64))
+    part = vectors[0] * np.linalg.lstsq(vectors, by_input.astype(complex), rcond=None)[0]
+    poles = np.log(np.where(np.abs(z) > 1e-9, z, 1e-9).astype(complex)) / dt
+    rings = poles.imag > 0.05 * np.abs(poles)
+    if not rings.any():
+        return np.nan, np.nan
+    p = poles[np.argmax(np.where(rings, np.abs(part), -1.0))]
+    return float(abs(p) / (2 * np.pi)), float(-p.real / abs(p))
+
+
+def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
+    """Compare the two simulated sweeps: rms difference, and both models' own errors, % of the range."""
+    span = max(float(np.ptp(one.run)), float(np.ptp(two.run)))
+    percent = 100 / span
+    apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))
+    what = "free runs of one sweep: rms difference"
+    if one.own is None or two.own is None:
+        return Difference(what, "reference", apart, "% of range", None, None if apart else False)
+    known = percent * float(np.hypot(one.own, two.own))
+    what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
+    return Difference(what, "reference", apart, "% of range", None, apart > known)
+
+
+def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, units: Units) -> list[Difference]:
+    here, there = (float(units.output.shown(s.settled[k])) for s in (one, two))
+    known = [None if s.own is None else float(units.output.shown(s.own)) for s in (one, two)]
+    rows = [measured(f"settled {units.output_word} {at}", here, there, units.output.unit, (known[0], known[1]))]
+    quantities = (
+        ("stiffness dF/dx", "stiffness", *units.coefficient(0)),
+        ("resonance", "resonance_hz", 1.0, "Hz"),
+        ("damping ratio", "damping", 1.0, ""),
+    )
+    for j, (what, name, factor, unit) in enumerate(quantities):
+        a, b = (factor * float(getattr(s, name)[k]) for s in (one, two))
+        if np.isfinite(a) or np.isfinite(b):
+            errors = (_scaled(one.errors[j], a), _scaled(two.errors[j], b))
+            rows.append(measured(f"{what} {at}", _finite(a), _finite(b), unit, errors))
+    return rows
+
+
+def _scaled(relative: float | None, value: float) -> float | None:
+    return None if relative is None else relative * value
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None

@@ -1,0 +1,136 @@
+"""Compare two models: responses, facts, coefficients by meaning, effects and origins.
+
+    a_0 x + a_1 x' + a_2 x'' + ... = F      stiffness a_0, damping a_1, inertia a_2 (of a linear model)
+
+Coefficients are compared between two linear models alone: an encoder changes the tokens of a trained model over the
+stroke, so its responses are compared instead (`behaviour`). Coefficients of different orders have different meanings
+beyond a_0; then the modes are compared instead.
+"""
+
+from typing import Any
+
+from ...common.numbers import number
+from ...files.model_file.model_file import digest
+from ...method.model.fitted import Fitted
+from ...method.model.units import base_units, units_of
+from ..pages.description import describe
+from .behaviour import compare_behaviour
+from .result import Comparison, Difference, measured, stated
+
+_FACTS = {
+    "kind": "kind", "order": "order", "input_map": "input map", "encoder": "encoder", "memory_states": "memory states",
+    "hold": "hold of the input", "dt": "sampling interval (s)", "polarity": "direction of the sensor",
+    "voltage_range": "input seen",
+}  # fmt: skip
+_MEANINGS = ("stiffness", "damping", "inertia")
+
+
+def coefficient_meaning(i: int) -> str:
+    """Return the name of coefficient a_i by its meaning: `stiffness (a0)`, `damping (a1)`, `inertia (a2)`, `a3`, ..."""
+    return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
+
+
+def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
+    """Compare the responses, facts and parameters of two models."""
+    # both in the units of the first, because one value in deg and one in rad would differ by 57
+    one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
+    rows, why = compare_behaviour(a, b)
+    rows += _adapted_rows(a, b)
+    rows += [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
+    rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
+    if one["kind"] == two["kind"] == "identified":
+        rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
+    rows += _effects(one["effects"], two["effects"])
+    return Comparison("models", names, tuple(rows), (*([why] if why else []), *_origin(a, b, names)))
+
+
+def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
+    """Return rows of the factors by which `adapt` changed one of the models but not the other."""
+    rows = []
+    for k, (mine, other) in enumerate(((a, b), (b, a))):
+        for entry in mine.origin.adapted:
+            if entry in other.origin.adapted:
+                continue
+            for name, c in entry["changed"].items():
+                low, high = (float(end) - 1 for end in c["ci95"])
+                sides = (1.0, float(c["factor"])) if k else (float(c["factor"]), 1.0)
+                interval = (low, high) if k else (-high, -low)
+                rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
+    return rows
+
+
+def _same_kinds(a: Fitted, b: Fitted) -> bool:
+    return base_units(units_of(a)) == base_units(units_of(b))
+
+
+def _coefficients(one: dict, two: dict) -> list[Difference]:
+    columns = (one["coefficients"], two["coefficients"], one["coefficients_unit"])
+    errors = zip(one["coefficients_stderr"], two["coefficients_stderr"], strict=True)
+    return [
+        measured(coefficient_meaning(i), x, y, unit, error)
+        for i, ((x, y, unit), error) in enumerate(zip(zip(*columns, strict=True), errors, strict=True))
+    ]
+
+
+def _modes(one: dict, two: dict) -> list[Difference]:
+    """Compare static stiffness and least damped mode of two linear models of different order."""
+    stiffness = measured(
+        coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
+        (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
+    )  # fmt: skip
+    # a heavily damped pole has no frequency of its own to compare
+    loud = [
+        min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
+    ]
+    if None in loud:
+        return [stiffness]
+    pairs = [[m[key] for m in loud if m] for key in ("natural_hz", "damping")]
+    return [
+        stiffness,
+        measured("frequency of the least damped mode", pairs[0][0], pairs[0][1], "Hz", (None, None)),
+        measured("damping ratio of that mode", pairs[1][0], pairs[1][1], "", (None, None)),
+    ]
+
+
+def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
+    """Compare the parameters of the effects in both models; model files hold no standard errors of them."""
+    sides = [{(e["effect"], e["form"]): e["parameters"] for e in effects} for effects in (one, two)]
+    rows = []
+    for key in dict.fromkeys([*sides[0], *sides[1]]):
+        for name in sides[0].get(key) or sides[1][key]:
+            x, y = (side.get(key, {}).get(name) for side in sides)
+            unit = (x or y or {}).get("unit", "")
+            values = [None if v is None else float(v["value"]) for v in (x, y)]
+            rows.append(measured(f"{key[0]} ({key[1]}): {name}", values[0], values[1], unit, (None, None)))
+    return rows
+
+
+def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
+    """Write lines on what the models were made from: parents, recordings of one or both, adaptations."""
+    # by their checksums, because two rigs may use the same names
+    sums: list[dict[str, str]] = [
+        {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
+    ]
+    parents = [{e.get("parent") for e in m.origin.lineage} for m in (a, b)]
+    digests = [digest(m) for m in (a, b)]
+    if digests[0] == digests[1]:  # also of two files whose names or dates differ
+        return ["Both hold the same model."]
+    lines = []
+    for k in (0, 1):  # either may be the older one
+        if digests[k] in parents[1 - k]:
+            lines.append(f"{names[1 - k]} was made from {names[k]}.")
+    for k, mine in enumerate(sums):
+        only = [name for s, name in mine.items() if s not in sums[1 - k]]
+        if only:
+            lines.append(f"Only {names[k]} saw {', '.join(only)}.")
+        lines += [f"{names[k]} was adapted: {_adapted(entry)}." for entry in (a, b)[k].origin.adapted
+                  if entry not in (a, b)[1 - k].origin.adapted]  # fmt: skip
+    both = [name for s, name in sums[0].items() if s in sums[1]]
+    return [*lines, *([f"Both saw {', '.join(both)}."] if both else [])]
+
+
+def _adapted(entry: dict[str, Any]) -> str:
+    return ", ".join(
+        f"{name} times {number(c['factor'])} ({' to '.join(number(end) for end in c['ci95'])})"
+        for name, c in entry["changed"].items()
+    )

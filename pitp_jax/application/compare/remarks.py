@@ -1,0 +1,71 @@
+"""Write remarks on how the recordings of two sets were paired."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ...common.numbers import number
+
+if TYPE_CHECKING:
+    from .pairing import Pairing
+
+_DAY = 86400.0  # s: clocks farther apart have different origins, such as epoch time and the start of a run
+_LISTED = 12  # names in one sentence; the JSON holds all
+
+
+def remarks_on(pairing: "Pairing", first: str, second: str) -> list[str]:
+    """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
+    named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
+    lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
+    lines += _of_ties(pairing, first, second)
+    lines += _of_signs(pairing, second)
+    offsets = [p.offset for p in pairing.pairs]
+    # below 0.1 ms it is an interpolation error
+    if offsets and max(map(abs, offsets)) >= 1e-4:
+        sizes = sorted(abs(o) for o in offsets)
+        middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
+        by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
+        word = "ahead of" if np.median(offsets) > 0 else "behind"
+        if middle > _DAY:
+            lines.append(f"The logs of {first} and {second} use different clocks, more than a day apart. Ignored.")
+        else:
+            lines.append(f"The clock of the {first} is {by} s {word} that of the {second}. This is not a delay.")
+    for side, alone in ((first, pairing.first_alone), (second, pairing.second_alone)):
+        lines += [f"Recording {name} of the {side} has no partner: {why}." for name, why in alone]
+    return lines
+
+
+def _listed(names: Sequence[str], separator: str = ", ") -> str:
+    more = len(names) - _LISTED
+    return separator.join(names[:_LISTED]) + (f"{separator}and {more} more" if more > 0 else "")
+
+
+def _of_ties(pairing: "Pairing", first: str, second: str) -> list[str]:
+    lines = []
+    for side, groups in ((first, pairing.repeated[0]), (second, pairing.repeated[1])):
+        told = _listed([", ".join(group) for group in groups], "; ")
+        if groups:
+            lines.append(
+                f"Several recordings of the {side} have the same command ({told}) and were paired by their responses."
+            )
+    for name, partner, others in pairing.undecided[:_LISTED]:
+        lines.append(
+            f"{name} fits {_listed(others)} as well as {partner}: commands and responses are equal within the noise."
+        )
+    return lines
+
+
+def _of_signs(pairing: "Pairing", second: str) -> list[str]:
+    command, output = pairing.mirrored
+    keys = [key for key, turned in (("input-scale", command), ("output-scale", output)) if turned]
+    if not keys or not pairing.pairs:
+        return []
+    what = " and ".join(word for word, turned in (("command", command), ("output", output)) if turned)
+    rho = min(p.correlation for p in pairing.pairs)
+    told = f" (correlation of the commands {rho:.3f})" if command else ""
+    return [
+        f"The {what} of the {second} have the opposite sign (a mirrored axis{told}) and were inverted for this "
+        f"comparison. To invert them in every command, put {' and '.join(f'{key} = -1' for key in keys)} below "
+        f'["*"] in the pitp.toml of one set (options: {" ".join(f"--{key} -1" for key in keys)}).'
+    ]

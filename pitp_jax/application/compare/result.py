@@ -1,0 +1,134 @@
+"""Hold the result of a comparison: every quantity of A and B, and whether it differs beyond its interval.
+
+difference = b - a,    95 % interval:  difference +- 1.96 sqrt(s_a^2 + s_b^2)
+a quantity differs if that interval excludes 0; None if a standard error is unknown
+"""
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from ...common.numbers import number
+from ...common.shown import data_frame
+from .pairing import Pairing
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+_LINES = 9  # of differences in a repr, below its headline
+
+
+@dataclass(frozen=True)
+class Difference:
+    """One quantity in A and in B, with the interval of its difference.
+
+    Attributes:
+        what: the quantity in plain words.
+        a, b: its values; text if it is not a number, None if missing.
+        unit: of both and of the interval.
+        ci95: of b - a; None if a standard error is unknown.
+        differs: whether b differs from a; None if unknown.
+    """
+
+    what: str
+    a: float | str | None
+    b: float | str | None
+    unit: str = ""
+    ci95: tuple[float, float] | None = None
+    differs: bool | None = None
+
+    def words(self) -> str:
+        """Write the difference in one line."""
+        ratio = ""
+        # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
+        if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
+            ratio = f" (factor {number(self.b / self.a)})"
+        return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """All compared quantities of A and B, and which of them differ.
+
+    Attributes:
+        kind: "models", "diagnoses" or "records".
+        names: of A and of B.
+        rows: every quantity of either.
+        remarks: further facts: lineage, clocks, recordings without a partner.
+        pairs: of two sets of records, the recordings with the same command.
+    """
+
+    kind: str
+    names: tuple[str, str]
+    rows: tuple[Difference, ...]
+    remarks: tuple[str, ...] = ()
+    pairs: Pairing | None = None
+
+    @property
+    def different(self) -> tuple[Difference, ...]:
+        """Return the quantities that differ."""
+        return tuple(r for r in self.rows if r.differs)
+
+    def headline(self) -> str:
+        """Write in a sentence how many quantities differ."""
+        count, open_ = len(self.different), sum(r.differs is None for r in self.rows)
+        a, b = self.names
+        unknown = f" ({open_} more were not judged, because their standard errors are not known)" if open_ else ""
+        if not count:
+            return f"{a} and {b} do not differ beyond their confidence intervals{unknown}"
+        return f"{a} and {b} differ in {count} of {len(self.rows)} quantities{unknown}"
+
+    def __repr__(self) -> str:
+        """Write the headline and the first quantities that differ."""
+        lines = [r.words() for r in self.different]
+        more = [f"  and {len(lines) - _LINES + 1} more"] if len(lines) > _LINES else []
+        shown = lines[: _LINES - 1] if more else lines
+        return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
+
+    def _repr_html_(self) -> str:
+        """Write the first part of the HTML page: headline, remarks and differences."""
+        from ..pages.compare import first_screen
+
+        return first_screen(self)
+
+    def frame(self) -> "pd.DataFrame":
+        """Return a table with a row per quantity: what, a, b, unit, interval of the difference, whether it differs."""
+        return data_frame(self.as_json()["rows"])
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the JSON of `pitp compare --json` as a dict."""
+        rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
+        pairs = [] if self.pairs is None else [
+            {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation}
+            for p in self.pairs.pairs
+        ]  # fmt: skip
+        return {"kind": self.kind, "names": list(self.names), "differs": bool(self.different), "rows": rows,
+                "remarks": list(self.remarks), "pairs": pairs}  # fmt: skip
+
+
+def measured(what: str, a: float | None, b: float | None, unit: str, errors: tuple[float | None, float | None]):
+    """Compare two numbers with their standard errors (None: unknown)."""
+    if a is None or b is None:
+        return Difference(what, a, b, unit, None, True)  # a quantity of one side only: a difference without a size
+    if a == b:
+        return Difference(what, a, b, unit, None, False)
+    if errors[0] is None or errors[1] is None:
+        return Difference(what, a, b, unit)
+    half = 1.96 * math.hypot(errors[0], errors[1])
+    return Difference(what, a, b, unit, (b - a - half, b - a + half), abs(b - a) > half)
+
+
+def stated(what: str, a, b) -> Difference:
+    """Compare two facts by their text, numbers with four digits."""
+    # as shown, because two equal texts called different would puzzle the reader
+    return Difference(what, _cell(a), _cell(b), differs=_cell(a) != _cell(b))
+
+
+def _cell(value) -> str:
+    if value is None:
+        return "none"
+    if isinstance(value, str):
+        return value
+    if isinstance(value, (list, tuple)):
+        return ", ".join(map(_cell, value)) or "none"
+    return number(float(value), 4) if not isinstance(value, bool) else str(value)

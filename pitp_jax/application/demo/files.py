@@ -1,0 +1,132 @@
+"""Write the folder of `pitp demo`: recordings, model files, tables as CSV, and the paper's figures.
+
+records/   the sweep and the training sines: for `pitp identify`, `fit` and `diagnose`
+held_out/  held-out recordings, for `pitp predict`
+target.csv a wanted motion, for `pitp invert`
+figures/   the paper's figures, each with its numbers as CSV
+"""
+
+from pathlib import Path
+from typing import cast
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.figure import Figure
+
+from ...method.model.model import Model
+from ...files.model_file.model_file import save
+from ...method.signal.record import Record
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ..pages import paper_figures
+from ..pages.drawn import FIGURES as HOME
+from ..pages.drawn import write_figure
+from ...method.simulate import decoder
+from .protocol import Demo, Table, excitations, kind, nearest, tables
+
+SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
+TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
+FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
+RECORDS, HELD_OUT = "records", "held_out"
+DRAWN = tuple(f"{HOME}/{name}.{kind}" for name in FIGURES for kind in ("png", "csv"))
+FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *DRAWN)
+
+
+def write(demo: Demo, folder: Path) -> None:
+    """Write recordings, models, tables and figures of a demo into an existing folder.
+
+    Args:
+        demo: result of `protocol.run`.
+        folder: where; files of the same names are replaced.
+
+    Raises:
+        BadInput: a file cannot be written.
+        OSError: a figure cannot be written.
+    """
+    for name, records in ((RECORDS, (demo.sweep, *demo.train)), (HELD_OUT, demo.test)):
+        (folder / name).mkdir()
+        for r in records:
+            columns = {"time_s": r.time, "voltage_V": r.voltage, "displacement_m": r.displacement}
+            write_csv(folder / name / f"{r.name}.csv", columns)
+    save(folder / "nominal.pitp", demo.identified.model)
+    save(folder / "model.pitp", demo.training.model)
+    for name, table in zip(TABLE_FILES, tables(demo), strict=True):
+        write_text_atomic(folder / name, _csv(table))
+    last = demo.tracks[-1]
+    columns = {
+        "time_s": last.time,
+        "voltage_V": last.voltage,
+        "displacement_m": last.achieved,
+        "target_m": last.target,
+    }
+    write_csv(folder / "tracking.csv", columns)
+    write_csv(folder / "target.csv", {"time_s": last.time, "displacement_m": last.target})
+    figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
+    for name, figure in zip(FIGURES, figures, strict=True):
+        write_figure(folder, name, cast(Figure, figure))
+
+
+def recordings(name: str, quick: bool) -> set[str]:
+    """Return the file names of the recordings that the demo of this actuator writes, with their folders."""
+    parts = {RECORDS: ("sweep", "train"), HELD_OUT: ("test",)}
+    return {f"{home}/{e.name}.csv" for home, kinds in parts.items() for k in kinds for e in excitations(name, k, quick)}
+
+
+def _csv(table: Table) -> str:
+    rows = [",".join(_cell(value) for value in row) for row in table.rows]
+    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"  # no header then needs quotes
+
+
+def _cell(value) -> str:
+    if value is None or (isinstance(value, float) and not np.isfinite(value)):
+        return ""  # an empty cell is read as missing everywhere, the word "inf" as text by some spreadsheets
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def _sweep(demo: Demo):
+    r, p = demo.sweep, demo.linear[demo.sweep.name]
+    axes = paper_figures.sweep_response(r.time, r.displacement, p.displacement, sweep_hz=SWEEP_HZ[kind(demo.name)])
+    return axes.figure
+
+
+def _prediction(demo: Demo):
+    """Draw measured and predicted output of the last held-out sine."""
+    r = [record for record in demo.test if record.name.startswith("sine")][-1]
+    return paper_figures.prediction(r.time, r.displacement, demo.predicted[r.name].displacement)[0].figure
+
+
+def _loops(demo: Demo):
+    """Draw output over voltage for one steady-state period at each frequency of Table II."""
+    axes = None
+    for t in demo.tracks:
+        r = nearest(demo.train, demo.name, t.frequency)
+        last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the voltage: x has twice its frequency
+        predicted = demo.predicted[r.name].displacement
+        axes = paper_figures.hysteresis_loops(
+            r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"
+        )
+    assert axes is not None
+    return axes.figure
+
+
+def _tokens(demo: Demo):
+    """Draw the model's coefficients along a simulated training sine, relative to nominal, and the offset."""
+    t = demo.tracks[1]
+    r = nearest(demo.train, demo.name, t.frequency)
+    model = demo.training.model.model
+    values = token_history(model, r)
+    names = [rf"$\sigma_{i} / \sigma_{i}^0$" for i in range(model.order + 1)] + [r"$\sigma_{off}$"]
+    return paper_figures.tokens(r.time, values, names)[0].figure
+
+
+def token_history(model: Model, record: Record) -> np.ndarray:
+    """Return a model's coefficients relative to nominal, then the offset, along a simulation from rest, (T, n + 2)."""
+    voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
+    states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
+    tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)
+    return np.asarray(jnp.concatenate([tokens / model.coefficients, offset[:, None]], axis=-1), np.float64)
+
+
+def _tracking(demo: Demo):
+    t = demo.tracks[1]
+    return paper_figures.tracking(t.time, t.target, t.achieved, t.voltage)[0].figure

@@ -1,0 +1,111 @@
+"""Turn points of frequency and voltage range into voltages that start and end at zero within the limits.
+
+    u(t) = w(t) [ (h + l)/2 - (h - l)/2 cos(phi(t)) ],   phi' = 2 pi f,   (f, l, h) through points p_1 ... p_K
+    w: smooth steps from 0 and back to 0;  swing shrunk about its mean until |u_{i+1} - u_i| <= slew dt
+
+A point: frequency uniform in its logarithm; the highest force h^2 dense towards the largest (a fraction that grows as
+the root of a uniform number); the lowest voltage is zero at three points of four, otherwise its force is uniform below
+h^2 (benefit: docs/decisions/plan.md).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import qmc
+
+from .limits import Limits
+from .waveforms import smooth_step
+
+_LEAST = 0.15  # of the largest force: the smallest peak of an input
+_MOST = 0.7  # of its highest force: the largest value of its lowest one
+_DENSE = 0.5  # exponent of a uniform number: below 1, more points near the largest force
+_FROM_ZERO = 0.75  # of the points have the limits' lowest voltage, as most test inputs do
+_SLEW = 0.999  # of the limit, so that rounding in a file does not exceed it
+
+
+@dataclass(frozen=True)
+class Planned:
+    """One recording to take: its voltage, its purpose, and the stroke predicted for it.
+
+    Attributes:
+        name: of its file, in the order of playing.
+        kind: sweep, sine, multisine or steps.
+        purpose: its purpose, one sentence.
+        time: in s, shape (T,).
+        voltage: in V, shape (T,), from zero to zero.
+        rest: seconds at 0 V after it.
+        stroke: largest displacement predicted by a model, m; nan without a model.
+        stroke_half_damped: the same with half of the model's damping.
+        go_on: largest stroke (m) of the recordings before it at which it may follow; infinity without a limit.
+    """
+
+    name: str
+    kind: str
+    purpose: str
+    time: np.ndarray
+    voltage: np.ndarray
+    rest: float
+    stroke: float = float("nan")
+    stroke_half_damped: float = float("nan")
+    go_on: float = float("inf")
+
+    @property
+    def seconds(self) -> float:
+        """Return the duration of the planned recording, s."""
+        return len(self.time) * self._dt
+
+    @property
+    def slew(self) -> float:
+        """Return the largest rate of change of the voltage, V/s."""
+        return float(np.abs(np.diff(self.voltage)).max()) / self._dt
+
+    @property
+    def _dt(self) -> float:
+        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+
+
+def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
+    """Draw points that fill frequency (Hz), lowest and highest voltage (V) evenly (Sobol), shape (count, 3)."""
+    sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
+    drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced only for powers of two
+    first, last = np.log(limits.band)
+    force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** _DENSE
+    high = limits.high * np.sqrt(force)
+    bias = _MOST * np.maximum(0.0, (drawn[:, 2] - _FROM_ZERO) / (1 - _FROM_ZERO))
+    low = high * np.sqrt(bias) if limits.low == 0 else limits.low + bias * (high - limits.low)
+    return np.stack([np.exp(first + (last - first) * drawn[:, 0]), low, high], 1)
+
+
+def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
+    """Return a sine that takes the frequency and extremes of each of K points for a K-th of the time, shape (T,)."""
+    t = np.arange(round(seconds * limits.rate)) / limits.rate
+    at = t / seconds * len(points)
+    k = np.minimum(at.astype(int), len(points) - 1)
+    after = np.minimum(k + 1, len(points) - 1)
+    # mostly at the point itself, then a smooth change, because a jump would excite all modes
+    mix = smooth_step((at - k - 0.7) / 0.3)[:, None]
+    f, low, high = ((1 - mix) * points[k] + mix * points[after]).T
+    phase = 2 * np.pi * np.concatenate([[0.0], np.cumsum(f)[:-1]]) / limits.rate
+    return within((low + high) / 2, -(high - low) / 2 * np.cos(phase), limits)
+
+
+def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
+    """Return mean + swing (V), shape (T,), with ramps at both ends and the swing reduced to the slew limit."""
+    size, most = len(swing), _SLEW * limits.slew / limits.rate
+    mean = np.broadcast_to(np.asarray(mean, np.float64), size)
+    rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
+    t = np.arange(size)
+    window = smooth_step(t / rise) * smooth_step((size - 1 - t) / rise)
+    factor = 1.0
+    for _ in range(60):
+        voltage = window * (mean + factor * swing)
+        if np.abs(np.diff(voltage)).max() <= most:
+            return np.clip(voltage, limits.low, limits.high)
+        factor *= 0.9
+    # even 0.2 % of the swing is too steep, because the ramps alone are
+    return np.clip(_gently(window * mean, most), limits.low, limits.high)
+
+
+def _gently(voltage: np.ndarray, most: float) -> np.ndarray:
+    """Scale a voltage down until no two neighbouring samples differ by more than `most` (V)."""
+    return voltage * min(1.0, most / np.abs(np.diff(voltage)).max())

@@ -1,0 +1,160 @@
+"""Estimate a trained model's expected held-out error by a Laplace approximation about its trained parameters.
+
+    p | records ~ N(p^, s^2 (sum_r T_r M_r + rho sum_r T_r)^-1)       M_r: mean over time of J'J, errors in % of range
+    s^2 = e^2 tau,   e: residual on its own records, %,   tau = dt sum_k c_k^2: Bartlett's time between
+    independent samples of errors with autocorrelation c_k
+
+rho: the prior of `refine`, which weights a record by its mean like M_r; T_r: seconds.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...common.errors import BadInput
+from ...method.fit.forward_sensitivity import Runs, run_slopes
+from ...method.fit.parameters import parameters
+from ...method.model.model import Model
+from ...method.signal.initial_state import noise_std
+from ...method.signal.record import Record
+from ...method.signal.sets import alike
+from ...method.simulate import ports
+from ...method.simulate.batched_rollout import fast_rollout
+from ...method.simulate.beginnings import held_states
+from ...method.simulate.decoder import rest_state
+from ...method.simulate.prediction import FAR, at_rate, predict
+from ...method.train.refine import prior_weights, thinning
+from ...method.train.settings import Settings, firmness_of
+
+_AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
+_STILL = 1e-3  # of the largest range: a run that moves less carries no information
+
+
+@dataclass(frozen=True)
+class Motions:
+    """Simulated motions: information on the parameters (P, P) each, stroke and range (m), whether it stayed finite."""
+
+    information: tuple[np.ndarray, ...]
+    stroke: np.ndarray
+    span: np.ndarray
+    finite: np.ndarray
+
+
+def motions(
+    model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
+) -> Motions:
+    """Simulate the model under these voltages; return information on its parameters, displacements and ranges.
+
+    Diverged or motionless simulations carry no information.
+
+    Errors are in % of sqrt(range^2 + floor^2), floor in m, because the noise does not shrink with the motion. Without
+    `slopes` only displacements and ranges are computed.
+    """
+    model, parts, places = at_rate(model, dt), [], alike(voltages, len)
+    for some in places:
+        parts.append(_together(model, [voltages[k] for k in some], dt, floor, slopes))
+    back = np.argsort(np.concatenate(places))
+    information = [m for part in parts for m in part.information]
+    arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
+    return Motions(tuple(information[k] for k in back) if slopes else (), *arrays)
+
+
+def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
+    """Compute `motions` for voltages of similar length, padded to one length."""
+    every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
+    drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
+    inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
+    start = _starts(model, drive[:, 0], dt)
+    x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
+    finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
+    # diverged and padded samples carry no information, and must not bring nan into the sums
+    x = np.where(inside & finite[:, None], x, 0.0)
+    span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
+    tells = finite & (span > _STILL * span.max())
+    # infinite, so that a diverged run has weight zero instead of nan
+    against = np.where(tells, np.hypot(span, floor / scale), np.inf)
+    weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
+    information = []
+    for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
+        runs = Runs(at, jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
+        rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
+        information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
+    return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
+
+
+def _batches(*arrays):
+    """Yield arrays in batches of equal size, padded with copies of the last row, for one compiled program."""
+    count = len(arrays[0])
+    for first in range(0, count, _AT_ONCE):
+        part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
+        yield tuple(a[part] for a in arrays)
+
+
+def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
+    states = fast_rollout(model, jnp.asarray(voltage), dt, start)
+    return np.stack([np.asarray(ports.readings(model, s), np.float64) for s in states])
+
+
+def _starts(model: Model, first: np.ndarray, dt: float):
+    """Return initial states: at rest if a voltage starts at zero, otherwise settled at its first value."""
+    rest = rest_state(model)
+    held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
+    settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
+    return jnp.where(settled, held, rest)
+
+
+@dataclass(frozen=True)
+class Knowledge:
+    """The information of the training records on a model: precision of the parameters, residual, noise floor.
+
+    Attributes:
+        precision: of the trained parameters, per unit of s^2, shape (P, P).
+        unit: s^2 in %^2 s.
+        error: residual of the model on its own records, % of range.
+        floor: the range (m) of a motion for which noise alone gives that error.
+    """
+
+    precision: np.ndarray
+    unit: float
+    error: float
+    floor: float
+
+
+def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
+    """Compute what the training records determine about the model's parameters.
+
+    Raises:
+        BadInput: a model without trained parameters, or one that diverges on every record.
+    """
+    start, sizes = parameters(model)
+    if not len(start):
+        raise BadInput("the model has no trained parameters; give a model that `pitp fit` wrote")
+    dt = records[0].dt
+    # a diverged run shows that the model fails there, but not by how much
+    misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
+    if not misses:
+        raise BadInput(
+            "the model diverges on every recording; check that they are from this actuator, or train the model again"
+        )
+    errors, taus = np.array(misses).T
+    error = float(np.sqrt(np.mean(errors**2)))
+    # an input that hardly moves the actuator gives only noise, even if the model predicts it well
+    floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
+    played = motions(model, [r.voltage for r in records], dt, floor=floor)
+    seconds = np.array([r.samples * dt for r in records])
+    rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
+    precision = sum(t * m for t, m in zip(seconds, played.information, strict=True)) + seconds.sum() * np.diag(rho)
+    return Knowledge(precision, error**2 * float(taus.mean()), error, floor)
+
+
+def _miss(record: Record, prediction) -> tuple[float, float]:
+    """Return the rms error of a prediction, % of range, and the time between independent errors, s (Bartlett)."""
+    seen = record.observed & prediction.scored
+    e = np.where(seen, prediction.displacement - record.displacement, 0.0)
+    e = e - seen * e[seen].mean()
+    power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2  # twice the length: no correlation of the end with the start
+    c = np.fft.irfft(power)[: len(e)]
+    tau = record.dt * (2 * float(np.sum((c / c[0]) ** 2)) - 1) if c[0] > 0 else record.dt
+    return 100 * float(np.sqrt(np.mean(e[seen] ** 2)) / np.ptp(record.displacement[seen])), tau

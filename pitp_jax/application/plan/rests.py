@@ -1,0 +1,36 @@
+"""Choose the pause between two recordings, after which the actuator is at rest again.
+
+with a model    last time at which |x| is above 0.5 % of its largest value, after a hold at the largest voltage
+without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the band
+"""
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...method.model.model import Model
+from ...method.simulate.decoder import rest_state, rollout_batch
+from ...method.simulate.prediction import at_rate
+
+_LEFT = 0.005  # of the stroke: hidden in sensor noise
+_HELD, _LONGEST = 3.0, 30.0  # s: hold before the rest, and longest rest
+_DAMPING = 0.05  # of an actuator without a model
+
+
+def first_rest(band: tuple[float, float]) -> float:
+    """Return the pause between recordings of a first session, s, rounded up to tenths."""
+    w = 2 * np.pi * np.sqrt(band[0] * band[1])
+    return min(float(np.ceil(-10 * np.log(_LEFT) / (_DAMPING * w)) / 10), _LONGEST)
+
+
+def rest_after(model: Model, volts: float, rate: float) -> float:
+    """Return the time after which the model is at rest again from a constant voltage, s, rounded up to tenths."""
+    model = at_rate(model, 1 / rate)
+    u = np.zeros(round((_HELD + _LONGEST) * rate), np.float32)
+    held = round(_HELD * rate)
+    u[:held] = volts
+    states = rollout_batch(model, jnp.asarray(u)[None], 1 / rate, rest_state(model)[None])
+    x = np.abs(np.asarray(states[0, :, 0]))
+    if not np.isfinite(x).all():
+        return _LONGEST
+    moving = np.flatnonzero(x[held:] > _LEFT * x.max())
+    return float(np.ceil(10 * (moving[-1] + 1 if len(moving) else 0) / rate) / 10)

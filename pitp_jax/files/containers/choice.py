@@ -1,0 +1,526 @@
+"""Choose the columns of time, input and output in a table, and their units.
+
+exact name (voltage_V)  >  unit of its kind (V with a length)  >  units of other machines  >  by name  >  ask
+
+The first of these rules with a column decides; with more than one column the user is asked. A named column without a
+unit competes with one that has a unit and no name. If two statements of a unit disagree, the user is asked.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...common.errors import BadInput, by_option
+from ...common.units import column_names, kind_of, spelt, to_base, units_of
+from .names import Header, read_header
+from .options import OPTIONS, ReadOptions
+from .refusal import Refused
+from .table import Column, Table
+
+_EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # candidates for the input, the likelier first
+_MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
+_ROLE = {"time": "time", "voltage": "input", "displacement": "output"}
+_WORD = {
+    "time": "time (time_s, ...)",
+    "voltage": "input (voltage_V, input_rad, ...)",
+    "displacement": "output (displacement_mm, output_deg, ...)",
+}
+_DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
+_SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are certainly not seconds
+_EPOCH = 1e9, 4e9  # s since 1970: the years 2001 to 2096
+_RISING = 0.9  # fraction of the steps of a clock
+_MONITOR = 10.0  # V: the range of a DAQ
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The column chosen for one quantity, with its unit.
+
+    Attributes:
+        place: among the table's columns; None for a time that --rate or the channels' own clock makes.
+        name: its header.
+        unit: of its values.
+        note: further remark for the summary, or empty.
+        clock: (first time, step) of the channels' own clock.
+    """
+
+    place: int | None
+    name: str
+    unit: str
+    note: str = ""
+    clock: tuple[float, float] | None = None
+
+    def __str__(self):
+        return f"{self.name!r} in {self.unit}{f' ({self.note})' if self.note else ''}"
+
+    @property
+    def reading(self) -> tuple:
+        """Return the column index and the unit: two readings of a file agree if both are equal."""
+        return self.place, self.unit
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """A column with its parsed header: index, unit, conflicting units, and text that is not a known unit."""
+
+    place: int
+    column: Column
+    header: Header
+    unit: str | None
+    conflict: tuple[str, ...] = ()
+    unknown: str | None = None
+
+    @property
+    def kind(self) -> str | None:
+        return None if self.conflict else kind_of(self.unit)
+
+    @property
+    def role(self) -> str | None:
+        return self.header.role
+
+    @property
+    def counts_rows(self) -> bool:
+        """Return whether the column's unit names a count of rows (`Sequence` of an oscilloscope)."""
+        return (self.unknown or "").lower() in _COUNTERS
+
+
+class _Ask(Exception):
+    """A question to the user about one quantity, with the options to suggest."""
+
+    def __init__(self, why: str, options: Sequence[str] = ()):
+        super().__init__(why)
+        self.options = list(options)
+
+
+def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
+    """Choose the columns that hold these quantities, and their units.
+
+    Args:
+        table: the opened file.
+        options: the caller's options.
+        quantities: of `time`, `voltage`, `displacement`.
+
+    Returns:
+        a choice per quantity.
+
+    Raises:
+        Refused: with everything that is missing, the columns of the file and the command to try.
+    """
+    seen = [_seen(place, column) for place, column in enumerate(table.columns) if column.name]
+    chosen, problems, pools = {}, {}, _pools(seen, options, quantities)
+    if options.time_column is None and "time" in pools:
+        pools["time"] = _likeliest_clocks(table, pools["time"])
+    for quantity in quantities:
+        try:
+            chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
+        except _Ask as ask:
+            problems[quantity] = ask
+    # the channels may carry the clock themselves (TDMS): known only once they are chosen
+    ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
+    if "time" in problems and options.time_column is None and len(ports) == len(quantities) - 1 and not pools["time"]:
+        try:
+            chosen["time"] = _own_clock(ports)
+            del problems["time"]
+        except _Ask as ask:
+            problems["time"] = ask
+    places = [choice.place for choice in chosen.values() if choice.place is not None]
+    if len(set(places)) < len(places):
+        problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
+    elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
+        ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
+        names = [s.column.name for s in ports]
+        why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
+        problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
+    clock = chosen.get("time")
+    bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
+    if problems and clock is not None and clock.place is not None and bare and options.rate is None:
+        strange = clock_question(_values(table, clock.place), clock.name)
+        if strange:  # all problems at once
+            problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])
+    if problems:
+        why = "; ".join(str(ask) for ask in problems.values())
+        words = _suggested(table, seen, pools, chosen, problems, options, quantities)
+        stems = [f"--{OPTIONS[q]}-column{' or --rate HZ' if q == 'time' else ''}" for q in problems]
+        hint = "" if words else f"; give {', '.join(stems)}"
+        hint = f"; the file says {table.hint}" if table.hint else hint
+        raise Refused(table.source, why + hint, words, f"columns here: {listed(table.columns)}")
+    return chosen
+
+
+def clock_question(time: np.ndarray, name: str) -> str | None:
+    """Return a question to the user about a clock column without a unit; None if it plausibly counts seconds.
+
+    Args:
+        time: as in the file, shape (T,), nan where empty.
+        name: of its column.
+    """
+    seen = time[np.isfinite(time)]
+    step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
+    if len(seen) and seen.min() > _EPOCH[0] and seen.max() < _EPOCH[1]:
+        return None
+    # 0, 1, 2, ... may count samples, ms or s
+    whole = step >= 1 and np.array_equal(seen, np.round(seen))
+    if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
+        return None
+    how = "counts in whole numbers" if whole else f"rises in steps of {step:.3g}"
+    return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
+
+
+def _port(seen: _Seen) -> bool:
+    """Return whether a voltage is named only input or output, which may mean a port of the DAQ or of the actuator."""
+    return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
+
+
+def _stated_ports(options: ReadOptions) -> bool:
+    return options.input_column is not None or options.output_column is not None
+
+
+def _seen(place: int, column: Column) -> _Seen:
+    header = read_header(column.name)
+    beside, spoken = (spelt(text) if text else None for text in (column.beside, column.spoken))
+    # name, units row and comment may state it; the same unit again is one statement
+    stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside, spoken) if unit))
+    # an unknown unit in a units row takes precedence over brackets in the name
+    unknown = column.beside if column.beside and not beside else header.unknown
+    counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is not a microsecond
+    if stated and not counted:
+        return _Seen(place, column, header, stated[0], stated if len(stated) > 1 else ())
+    if unknown:
+        return _Seen(place, column, header, None, (), unknown)
+    return _Seen(place, column, header, spoken)
+
+
+def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str]) -> dict[str, list[_Seen]]:
+    """Return the candidate columns of each quantity, found by the first rule that finds any."""
+    pools: dict[str, list[_Seen]] = {}
+    for quantity in quantities:
+        wanted = options.column(quantity)
+        if wanted is not None:
+            named = [s for s in seen if s.column.name == wanted]
+            pools[quantity] = named or [s for s in seen if str(wanted).isdecimal() and s.place + 1 == int(wanted)]
+    # a column named by the user is not a candidate for anything else
+    taken = {s.place for pool in pools.values() for s in pool}
+    open_ = [s for s in seen if s.place not in taken and s.column.form != "text"]
+    for quantity in quantities:
+        if quantity not in pools:
+            exact = [s for s in open_ if s.column.name in column_names(quantity)]
+            if exact:
+                pools[quantity] = exact
+    if "time" in quantities and "time" not in pools:
+        pools["time"] = _clocks(open_)
+    clocks = [*pools.get("time", [])]
+    clocks += [
+        s for s in open_ if s.kind == "time" or (s.kind is None and s.role == "time") or s.column.form == "stamp"
+    ]
+    data = [s for s in open_ if s not in clocks and not s.counts_rows]
+    volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
+    # a laser or an encoder is often read in volts
+    sensed = [s for s in volts if s.role == "output"]
+    driving = [s for s in volts if s.role != "output"] or pools.get("voltage", [])
+    if not driving and lengths:  # the only voltage beside a length, whatever its name
+        sensed, driving = [], sensed
+    # volts are an input only beside a measured response
+    moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
+    if "voltage" in quantities and "voltage" not in pools:
+        alone = "displacement" not in quantities and driving
+        pools["voltage"] = (
+            _competing(driving, data, "input") if (driving and moving) or alone else _machine(data, "input")
+        )
+    if "displacement" in quantities and "displacement" not in pools:
+        drive = pools.get("voltage", [])
+        # the input itself is not a response
+        data = [s for s in data if len(drive) != 1 or s is not drive[0]]
+        # a scale applies to volts, so they come first
+        first, second = (sensed, lengths) if options.output_scale is not None else (lengths, sensed)
+        pair = [s for s in first if s in data] or [s for s in second if s in data]
+        usual = bool(driving) or "voltage" not in quantities or not pair
+        single = pair and (usual or not _machine(data, "output"))
+        pools["displacement"] = _competing(pair, data, "output") if single else _machine(data, "output")
+    return pools
+
+
+def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
+    """Return the columns that may hold the time: those with a unit of time, and those named so without a unit."""
+    return [
+        s for s in seen
+        if s.column.form == "stamp" or s.kind == "time" or (s.role == "time" and (s.unit is None or s.conflict))
+    ]  # fmt: skip
+
+
+def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
+    """Return the most likely clock columns, by their values, names and units, in this order of importance.
+
+    A latency or a cycle time has a unit of time, but does not rise. Among clocks that agree, one in seconds is taken,
+    otherwise the one with the smallest values, which loses the fewest digits.
+    """
+    if len(clocks) < 2:
+        return clocks
+    values = {s.place: _values(table, s.place) for s in clocks}
+    rules = (
+        lambda s: s.column.form == "stamp" or _ticks(values[s.place]),
+        lambda s: s.unknown is None,  # a column in g is not a time, whatever its name
+        lambda s: s.header.clock_only,
+        # beside dates, which are often coarser
+        lambda s: s.role == "time" and s.kind == "time" and s.column.form != "stamp",
+        lambda s: s.role == "time" and (s.kind == "time" or s.column.form == "stamp"),
+    )
+    for rule in rules:
+        clocks = [s for s in clocks if rule(s)] or clocks
+    seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
+    first = seconds[clocks[0].place]
+    if len(clocks) > 1 and all(_agree(first, other) for other in seconds.values()):
+        # one that certainly counts seconds first
+        asked = {s.place: s.kind is None and clock_question(values[s.place], "") is not None for s in clocks}
+        clocks = [min(clocks, key=lambda s: (asked[s.place], float(np.nanmax(np.abs(seconds[s.place])))))]
+    return clocks
+
+
+def _ticks(values: np.ndarray) -> bool:
+    """Return whether values increase like a clock, which may overflow or restart."""
+    steps = np.diff(values[np.isfinite(values)])
+    return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
+
+
+def _agree(first: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two clocks (s) differ only by a constant, to half a time step."""
+    if len(first) != len(other) or not np.isfinite(first).any() or np.isinf(first).any() or np.isinf(other).any():
+        return False
+    return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
+
+
+def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Return columns of the role's usual unit; if none is named for the role, also named columns without a unit.
+
+    A DAQ channel comes last, because it may be a monitor of such a column.
+    """
+    bare = _bare(data, role)
+    if any(s.role == role and not s.header.words & _DAQ for s in united):
+        return [*united]
+    return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
+
+
+def _bare(data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Return the columns named for a role (input or output) that have no unit."""
+    return [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
+
+
+def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
+    """Return columns with other units: by name, otherwise by kind (efforts as inputs, motions as outputs)."""
+    named = [s for s in data if s.role == role and s.kind is not None]
+    if named:
+        return named
+    bare = [s for s in data if s.role == role]
+    free = [s for s in data if s.role is None]
+    for kinds in _EFFORTS if role == "input" else _MOTIONS:
+        some = [s for s in free if s.kind in kinds]
+        if some:
+            return some + bare
+    # a temperature is usually recorded beside the motion
+    warm = [s for s in free if s.kind in ("temperature", "absolute temperature") and role == "output"]
+    return bare or warm
+
+
+def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options: ReadOptions) -> Choice:
+    """Return the only candidate column of a quantity, with its unit; ask the user if there are none or several."""
+    stem, wanted = OPTIONS[quantity], options.column(quantity)
+    if not pool and wanted is not None:
+        several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
+        one = "a recording has one input and one output; " if several else ""
+        raise _Ask(f"column {wanted!r} is missing; {one}give --{stem}-column one of the columns of the file")
+    if not pool and quantity == "time" and options.rate is not None:
+        return Choice(None, "--rate", "s")
+    if not pool:
+        worded = [s for s in seen if s.column.form == "text" and s.role == _ROLE[quantity]]
+        if worded:
+            raise _Ask(f"column {worded[0].column.name!r} holds text; write plain numbers without thousands separators")
+        raise _Ask(f"the {_WORD[quantity]} is missing")
+    if len(pool) > 1:
+        names = [s.column.name for s in pool]
+        twice = len(set(names)) < len(names)
+        remedy = f"{'rename or delete one, or ' * twice}choose one with --{stem}-column {'NUMBER' if twice else 'NAME'}"
+        raise _Ask(
+            f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} columns may be the {_WORD[quantity]}; {remedy}"
+        )
+    return _with_unit(pool[0], quantity, options, _beside(seen, pool[0], quantity) if wanted is None else "")
+
+
+def _beside(seen: Sequence[_Seen], chosen: _Seen, quantity: str) -> str:
+    """Return a note on the other candidates if a column was chosen by its exact name; empty otherwise."""
+    if chosen.column.name not in column_names(quantity):
+        return ""
+    others = [
+        s.column.name for s in seen if s is not chosen and s.kind == chosen.kind and s.role in (chosen.role, None)
+    ]
+    return f"chosen by its exact name; other candidates: {_names(others)}" if others else ""
+
+
+def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> Choice:
+    """Return the column with its unit: of the option, of the file, V before a scale, or s for a clock without one."""
+    stem, name, given = OPTIONS[quantity], seen.column.name, options.unit(quantity)
+    if seen.column.form == "stamp" and quantity == "time":
+        return Choice(seen.place, name, "s", "dates and hours")
+    fits = seen.unit if seen.unit in units_of(quantity) else None
+    said = seen.conflict or tuple(u for u in (seen.unit or seen.unknown,) if u)
+    if given is not None:
+        over = f"by --{stem}-unit, instead of {' and '.join(said)} in the file" if said not in ((), (given,)) else note
+        return Choice(seen.place, name, given, over)
+    if seen.conflict:
+        first, second = seen.conflict[:2]
+        raise _Ask(
+            f"column {name!r} has two units, {first} in its name and {second} in its unit; give --{stem}-unit",
+            [f"--{stem}-unit", first],
+        )
+    if seen.unknown:
+        raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_few(quantity)}")
+    if fits:
+        return Choice(seen.place, name, fits, note)
+    if seen.unit is None and options.scale(quantity) is not None:
+        return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
+    if quantity == "time" and seen.unit is None:
+        return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
+    why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is not a unit"
+    raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_few(quantity)}")
+
+
+def _few(quantity: str) -> str:
+    return {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}[
+        quantity
+    ]
+
+
+def _own_clock(ports: Sequence[_Seen]) -> Choice:
+    """Return the clock that the chosen channels carry themselves, as in TDMS files.
+
+    Raises:
+        _Ask: they have none, or differ.
+    """
+    clocks = [s.column.clock for s in ports if s.column.clock is not None]
+    if len(clocks) < len(ports) or not clocks:
+        raise _Ask(f"the {_WORD['time']} is missing")
+    if any(not np.allclose(clock, clocks[0], rtol=1e-9, atol=1e-9) for clock in clocks):
+        steps = ", ".join(f"{step:g} s" for _, step in clocks)
+        raise _Ask(
+            f"{_names([s.column.name for s in ports])} have different clocks (sampling intervals {steps}); "
+            "give --rate HZ"
+        )
+    return Choice(None, "the channels' own clock", "s", clock=clocks[0])
+
+
+def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
+    """Return command-line options that would solve the problems; unknown values (scale, rate, unit) in capitals."""
+    absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
+    stated = options.words()
+    words = [word for group in by_option(stated) if group[0] not in absent for word in group]
+    taken = {choice.place for choice in chosen.values()}
+    free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
+    if "time" in problems and not problems["time"].options:
+        words += _time_words(table, seen, pools["time"], free, taken)
+    elif "time" in problems:
+        words += problems["time"].options
+    ports = {}
+    for quantity in ("voltage", "displacement"):
+        if quantity in chosen:
+            ports[quantity] = next(s for s in seen if s.place == chosen[quantity].place)
+        elif quantity in quantities:
+            other = "input" if quantity == "displacement" else "output"
+            others = [s for s in free if s.role != "time" and s.kind != "time"]
+            others.sort(key=lambda s: s.role == other)  # a name of the opposite role comes last
+            pool = [s for s in pools[quantity] or others if s.place not in taken and not s.header.words & _COUNTERS]
+            named = [s for s in pool if s.role == "output"] if quantity == "displacement" else []
+            first = next((s for s in named or pool if len(_values(table, s.place))), None)
+            if first is not None:
+                ports[quantity] = first
+                taken.add(first.place)
+    # an amplifier has two monitors: if the input is one, the output is one too
+    daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
+    for quantity, port in ports.items():
+        # a scale or a column for the other quantity makes columns without a unit candidates
+        rivals = [s for s in _bare(seen, _ROLE[quantity]) if s is not port and options.column(quantity) is None]
+        name = _said(seen, port) if len(pools[quantity]) != 1 or rivals else None
+        words += _port_words(quantity, port, problems, options, daq, name)
+    return _once(words) if set(ports) | {"time"} >= set(quantities) else []
+
+
+def _once(words: Sequence[str]) -> list[str]:
+    """Drop repeated options with their values; the first of each is kept."""
+    groups = by_option(words)
+    return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
+
+
+def _said(seen: Sequence[_Seen], one: _Seen) -> str:
+    """Return the column's name as the value of an option, or its number if other columns share the name."""
+    names = [s.column.name for s in seen]
+    return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
+
+
+def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
+    """Return options that state the time: a rising column, or a rate."""
+    pool = pool or [
+        s
+        for s in free
+        if s.role is None and s.unit is None and not s.header.words & _COUNTERS and _rises(_values(table, s.place))
+    ]
+    if not pool:
+        return ["--rate", "RATE"]
+    taken.add(pool[0].place)
+    first = pool[0]
+    named = ["--time-column", _said(seen, first)] if len(pool) > 1 or first.role != "time" else []
+    return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
+
+
+def _rises(values: np.ndarray) -> bool:
+    return len(values) > 2 and bool(np.all(np.diff(values) > 0))
+
+
+def _values(table: Table, place: int) -> np.ndarray:
+    """Load one column as it is in the file, shape (T,); empty if it cannot be loaded."""
+    try:
+        return table.load([place])[0]
+    except BadInput:
+        return np.zeros(0)
+
+
+def _roughness(values: np.ndarray) -> float:
+    """Return the noise of a column relative to its range, from the median of the fifth differences."""
+    # five differences almost remove a motion, and amplify noise sixteenfold
+    rough = np.abs(np.diff(values[np.isfinite(values)], 5))
+    return float(np.median(rough) / max(np.ptp(values), 1e-300)) if len(rough) else np.inf
+
+
+def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
+    """Return whether an input is a monitor signal recorded by a DAQ, by its range or its channel's name."""
+    values = values[np.isfinite(values)]
+    if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
+        return False
+    if seen.unit is not None:
+        return float(np.abs(to_base(values, seen.unit)).max()) <= _MONITOR
+    alone = seen.header.words == {"voltage"} and seen.column.name.lower() != "voltage"  # Voltage_0 of a DAQ
+    return bool(seen.header.words & _DAQ) or alone
+
+
+def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, name: str | None) -> list[str]:
+    stem, words = OPTIONS[quantity], []
+    if quantity in problems and problems[quantity].options:
+        words += problems[quantity].options
+    elif name is not None:
+        words += [f"--{stem}-column", name]
+    if options.scale(quantity) is None:
+        volts = port.kind == "voltage" or (port.kind is None and not port.conflict and not port.unknown and daq)
+        if port.kind is None and not port.conflict and options.unit(quantity) is None:
+            words += [f"--{stem}-unit", "V" if volts else "UNIT"]
+        if volts and (daq if quantity == "voltage" else daq or quantity in problems):
+            words += [f"--{stem}-scale", "SCALE"]
+    return words
+
+
+def _names(names: Sequence[str]) -> str:
+    return ", ".join(repr(name if len(name) <= 40 else name[:40] + "...") for name in dict.fromkeys(names))
+
+
+def listed(columns: Sequence[Column], most: int = 8) -> str:
+    """Write the names of the first columns of a table, for messages."""
+    names = [column.name for column in columns if column.name]
+    beyond = len(dict.fromkeys(names[most:]))
+    return (_names(names[:most]) or "none") + (f" and {beyond} more" if beyond else "")

@@ -1,0 +1,269 @@
+"""Open a file, choose its columns, and load them in base units; ask the user if a file can be read in several ways.
+
+parts -> possible tables of each -> choices; all successful ones must agree -> (time, input, output), float64
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import BadInput
+from ...common.units import column_names, kind_of, to_base
+from .choice import Choice, choose_columns, clock_question, listed
+from .formats import Parts
+from .held import hold_sparse
+from .join import joined_parts
+from .names import read_header
+from .options import OPTIONS, ReadOptions, with_folder
+from .refusal import Refused
+from .table import Column, Table
+
+_MOST_PARTS = 1000
+_SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
+
+
+@dataclass(frozen=True)
+class Loaded:
+    """The chosen columns of one part of a file, loaded in base units.
+
+    Attributes:
+        table: their source.
+        chosen: a choice per quantity.
+        values: per quantity, shape (T,) each.
+        options: of the caller and the folder.
+        label: of this part of the file, or empty.
+        rows: their rows in the table, or None for all.
+    """
+
+    table: Table
+    chosen: dict[str, Choice]
+    values: dict[str, np.ndarray]
+    options: ReadOptions
+    label: str = ""
+    rows: np.ndarray | None = None
+
+    def place(self, sample: int) -> str:
+        """Describe a sample for a message: its number and, in a text file, its line."""
+        return self.table.place(sample if self.rows is None else int(self.rows[sample]))
+
+    def words(self, quantity: str) -> str:
+        """Describe how a quantity was read: `'U [V]' in V times 1000`."""
+        scale = self.options.scale(quantity)
+        return str(self.chosen[quantity]) + ("" if scale is None else f" times {scale:g}")
+
+    def unit(self, quantity: str) -> str:
+        """Return the unit in which a quantity is shown: the column's, or mm or V if a scale converts volts of a DAQ."""
+        unit = self.chosen[quantity].unit
+        if self.options.scale(quantity) is None or kind_of(unit) != "voltage":
+            return unit
+        return "mm" if quantity == "displacement" else "V"
+
+
+def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) -> list[Loaded]:
+    """Load the wanted columns of a file, one entry for each part that the option `split_by` makes.
+
+    Args:
+        path: the file.
+        options: the caller's options.
+        quantities: of `time`, `voltage`, `displacement`.
+
+    Raises:
+        BadInput: nothing readable, or the user must decide.
+    """
+    said = with_folder(options, path)
+    parts = joined_parts(path, said)
+    if said != options and any(_ours(table) for tables in parts for table in tables):
+        said, parts = options, joined_parts(path, options)  # pitp.toml does not apply to files written by pitp
+    if said.split_by in ("sheet", "group"):
+        chosen = [_agreed(tables, said, quantities) for tables in parts]
+        return [replace(_load(*one, said), label=one[0].part) for one in chosen]
+    table, choices = _first(parts, said, quantities)
+    if said.split_by is None:
+        return [_load(table, choices, said)]
+    return _by_column(table, choices, said, said.split_by)
+
+
+def _ours(table: Table) -> bool:
+    """Return whether a table has exactly the three columns of files that pitp writes."""
+    ours = [frozenset(column_names(q)) for q in ("time", "voltage", "displacement")]
+    names = [c.name for c in table.columns]
+    return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
+
+
+def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
+    """Return the first part of a file that holds all wanted columns, with the chosen columns."""
+    refusals = []
+    for tables in parts:
+        try:
+            return _agreed(tables, options, quantities)
+        except BadInput as error:
+            refusals.append(error)
+    raise max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
+
+
+def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
+    """Return the table and columns on which all possible readings of a file part agree.
+
+    Raises:
+        BadInput: none can be read, or two differ.
+    """
+    good, refusals = [], []
+    for table in tables:
+        try:
+            good.append((table, choose_columns(table, options, quantities)))
+        except BadInput as error:
+            refusals.append(error)
+    if not good:
+        raise refusals[0]
+    # several encodings fit most bytes: the one whose names are words
+    table, chosen = max(good, key=lambda one: _legible(one[0].columns))
+    for other, choices in good:
+        if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
+            two = [", ".join(f"{OPTIONS[q]} {c}" for q, c in one.items()) for one in (chosen, choices)]
+            words = []
+            for q, c in chosen.items():
+                if c.place is not None:
+                    words += [f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit]
+            raise Refused(
+                table.source, f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words
+            )
+    return table, chosen
+
+
+def _legible(columns: Sequence[Column]) -> int:
+    """Score how plausible column names are: known words minus strange characters."""
+    names = [c.name for c in columns]
+    strange = sum(not (c.isalnum() or ord(c) < 128) for name in names for c in name)
+    return sum(read_header(name).role is not None for name in names) - strange
+
+
+def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
+    """Load the chosen columns in base units and apply the scales; --rate gives the time if no column does."""
+    values, chosen = _values(table, chosen, options)
+    count = len(next(iter(values.values()))) if values else 0
+    loaded = {}
+    with np.errstate(over="ignore"):  # infinite values are refused later
+        for quantity, choice in chosen.items():
+            if choice.clock is not None and choice.place is None:
+                loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
+            elif choice.place is not None:
+                # unit first, scale second: 2 V of a monitor of 1000 V per V
+                base = to_base(values[choice.place], choice.unit)
+                scale = options.scale(quantity)
+                loaded[quantity] = base if scale is None else base * scale
+    if "time" in chosen:
+        chosen = chosen | {"time": _timed(table, chosen["time"], loaded, count, options)}
+    rows = None
+    if "voltage" in chosen and "time" in chosen:
+        loaded, rows, fraction = hold_sparse(loaded)
+        if rows is not None:
+            note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
+            voltage = chosen["voltage"]
+            note = f"{voltage.note}; {note}" if voltage.note else note
+            chosen = chosen | {"voltage": replace(voltage, note=note)}
+    if "time" in chosen and chosen["time"].place is not None:
+        loaded, rows = _without_empty_rows(loaded, rows)
+    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows)
+
+
+def _values(
+    table: Table, chosen: dict[str, Choice], options: ReadOptions
+) -> tuple[dict[int, np.ndarray], dict[str, Choice]]:
+    """Load the chosen columns by column index; with --rate, an unreadable clock is ignored."""
+    places, clock = [choice.place for choice in chosen.values() if choice.place is not None], chosen.get("time")
+    try:
+        return dict(zip(places, table.load(places), strict=True)), chosen
+    except BadInput as error:
+        if clock is None or clock.place is None:
+            raise
+        rest = [place for place in places if place != clock.place]
+        values = dict(zip(rest, table.load(rest), strict=True))  # errors in these come first
+        if options.rate is None:
+            why = str(error).removeprefix(f"{table.source}: ")
+            raise Refused(table.source, why, [*options.words(), "--rate", "RATE"]) from None
+        return values, chosen | {"time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")}
+
+
+def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: ReadOptions) -> Choice:
+    """Return the choice of the time; --rate replaces a clock that is missing, empty or without a unit.
+
+    Raises:
+        BadInput: whole numbers without a unit, an empty clock.
+    """
+    source, name, rate = table.source, choice.name, options.rate
+    time = loaded.get("time")
+    if time is None:
+        assert rate is not None
+        if 0 < table.blanks < count / 2:
+            raise BadInput(
+                f"{source}: {table.blanks} empty lines between the rows of a file without a clock; split the file "
+                "there if samples were lost"
+            )
+        loaded["time"] = np.arange(count) / rate
+        return choice
+    seen = time[np.isfinite(time)]
+    unfit, remedy = "", ["--rate", "RATE"]
+    if not len(seen) or (len(seen) < 2 and rate is not None):
+        unfit = f"the clock {name!r} is empty; give --rate HZ"
+    elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
+        unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
+    if unfit and rate is None:
+        raise Refused(source, unfit, [*options.words(), *remedy])
+    if unfit and rate is not None:
+        loaded["time"] = np.arange(count) / rate
+        return Choice(None, "--rate", "s", unfit.partition(";")[0])
+    return choice
+
+
+def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
+    """Return the reason why a clock without a unit cannot be used; empty if it counts seconds."""
+    if rate is None:
+        return clock_question(time, name) or ""
+    step = float(np.median(np.diff(time[np.isfinite(time)])))
+    seconds = clock_question(time, name) is None and 1 / _SECONDS < step * rate < _SECONDS
+    return "" if seconds else f"the clock {name!r} has no unit"
+
+
+def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) -> tuple[dict, np.ndarray | None]:
+    """Drop rows in which all columns are empty; the time then shows the gap."""
+    if len({len(v) for v in loaded.values()}) > 1:
+        return loaded, rows
+    # an empty input alone must be refused later
+    empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
+    if not empty.any():
+        return loaded, rows
+    rows = np.arange(len(empty)) if rows is None else rows
+    return {q: v[~empty] for q, v in loaded.items()}, rows[~empty]
+
+
+def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
+    """Split the rows by the values of a column, in order of first appearance."""
+    places = [k for k, c in enumerate(table.columns) if c.name == name]
+    if not places:
+        words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""
+        raise BadInput(
+            f"{table.source}: column {name!r} of --split-by is missing{words}; give one of {listed(table.columns)}"
+        )
+    whole = _load(table, chosen, options)
+    count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
+    keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
+    keys = keys if whole.rows is None else keys[whole.rows[whole.rows < len(keys)]]
+    if len(keys) != count:
+        raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
+    # run 1.0 of a float column is named 1
+    labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
+    first = list(dict.fromkeys(labels))
+    if len(first) > _MOST_PARTS:
+        raise BadInput(
+            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose a column that numbers the "
+            "runs"
+        )
+    parts = []
+    for label in first:
+        # a run may continue later in the file
+        rows = np.flatnonzero(np.array(labels) == label)
+        kept = rows if whole.rows is None else whole.rows[rows]
+        parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=kept))
+    return parts

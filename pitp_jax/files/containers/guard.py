@@ -1,0 +1,195 @@
+"""Guard against hostile files: limit sizes before reading, and turn library errors into one line.
+
+regular file of at most 1 GiB,    unfolded bytes <= min(200 size, max(256 MiB, 20 size)),    4096 columns, 1e7 rows
+"""
+
+import gzip
+import io
+import os
+import stat
+import warnings
+import zipfile
+import zlib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import BadInput, cleaned
+
+MAX_COLUMNS = 4096
+MAX_SAMPLES = 10_000_000
+MAX_BYTES = 1 << 30
+_UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to; a mebibyte is always harmless
+_UNFOLDED_BYTES = 256 << 20
+_PIECE = 1 << 20
+
+
+def check_columns(count: int, source: str) -> None:
+    """Refuse a file with more than 4096 columns.
+
+    Raises:
+        BadInput: with the count.
+    """
+    if count > MAX_COLUMNS:
+        raise BadInput(f"{source}: {count} columns, more than {MAX_COLUMNS}; keep the columns of one actuator")
+
+
+def check_count(count: int, source: str) -> None:
+    """Refuse a file with more than 10 million samples.
+
+    Raises:
+        BadInput: with the count.
+    """
+    if count > MAX_SAMPLES:
+        raise BadInput(
+            f"{source}: {count} samples, more than {MAX_SAMPLES}; split the recording or average it to a lower rate"
+        )
+
+
+def check_unfolded(unfolded: int, size: int, source: str) -> None:
+    """Refuse an archive whose unpacked size exceeds the limit.
+
+    Raises:
+        BadInput: with both sizes.
+    """
+    if unfolded > min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size)):
+        raise BadInput(
+            f"{source}: unpacks from {size} to {unfolded} bytes or more (limits: {_UNFOLDED} times its size and "
+            f"{_UNFOLDED_BYTES >> 20} MiB); save it uncompressed, or split the recording"
+        )
+
+
+def file_bytes(path: Path, count: int = -1) -> bytes:
+    """Read a regular file, or only its first `count` bytes.
+
+    Raises:
+        BadInput: it cannot be read, is a device or a pipe, is empty, or of unreasonable size.
+    """
+    source = cleaned(path)
+    try:
+        # a pipe would block forever, a device would never end
+        state = os.stat(path)
+        if not stat.S_ISREG(state.st_mode):
+            raise BadInput(f"{source}: is not a regular file; copy the recording into one")
+        if count < 0 and state.st_size > MAX_BYTES:
+            raise BadInput(f"{source}: {state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the recording")
+        with open(path, "rb") as file:
+            data = file.read(count)
+    except OSError as error:
+        raise BadInput(
+            f"{source}: cannot be read: {error.strerror or error}; check the path and its access rights"
+        ) from None
+    if not data:
+        raise BadInput(f"{source}: the file is empty (0 bytes); record it again or leave it out")
+    return data
+
+
+def as_column(values: Any, column: str, source: str) -> np.ndarray:
+    """Convert one stored variable to a float64 column; row and column vectors are both accepted.
+
+    Args:
+        values: array as stored, shape (T,), (T, 1), (1, T) or any with one axis longer than 1.
+        column: its name, for messages.
+        source: the file, for messages.
+
+    Raises:
+        BadInput: text, objects or complex numbers where real numbers belong, a matrix, too many samples.
+    """
+    values = np.asarray(values)
+    if values.dtype.kind not in "fiub":
+        kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
+        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} instead of real numbers; store it as float64")
+    # (T, 1) and (1, T) are vectors, as MATLAB writes them
+    if values.ndim > 1 and values.size != max(values.shape):
+        raise BadInput(
+            f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} instead of a vector; store one "
+            "column per variable"
+        )
+    check_count(values.size, source)
+    with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity (refused later)
+        return values.astype(np.float64).reshape(-1)
+
+
+def gunzip(data: bytes, source: str) -> bytes:
+    """Decompress gzip data piece by piece.
+
+    Raises:
+        BadInput: damaged, truncated, or too large when unpacked.
+    """
+    pieces, total = [], 0
+    try:
+        with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
+            while piece := file.read(_PIECE):
+                total += len(piece)
+                check_unfolded(total, len(data), source)
+                pieces.append(piece)
+    except EOFError:
+        raise BadInput(f"{source}: the gzip data end too early (truncated); copy the file again") from None
+    except (OSError, zlib.error) as error:
+        raise BadInput(f"{source}: damaged gzip data ({error}); copy the file again") from None
+    return b"".join(pieces)
+
+
+def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
+    """Decompress one zlib stream, as an element of a MATLAB file.
+
+    Args:
+        data: the compressed bytes.
+        source: the file, for messages.
+        size: of the whole file, which determines the limit.
+        begun: bytes of this file already unpacked.
+
+    Raises:
+        BadInput: too large when unpacked.
+        zlib.error: damaged or truncated.
+    """
+    engine, pieces, total = zlib.decompressobj(), [], begun
+    while not engine.eof:
+        # piece by piece, so that an excessive result is never in memory
+        piece = engine.decompress(data, _PIECE)
+        data = engine.unconsumed_tail
+        if not piece and not data and not engine.eof:
+            raise zlib.error("truncated")
+        total += len(piece)
+        check_unfolded(total, size, source)
+        pieces.append(piece)
+    return b"".join(pieces)
+
+
+def check_archive(path: Path) -> None:
+    """Refuse a zip archive (`.npz`, `.xlsx`) whose members declare too large a size.
+
+    Raises:
+        BadInput: with the sizes, or not a zip archive.
+    """
+    source = cleaned(path)
+    try:
+        with zipfile.ZipFile(path) as archive:
+            members = archive.infolist()
+    except Exception as error:  # zipfile raises almost any error on damaged directories
+        raise BadInput(
+            f"{source}: cannot be read as an archive ({type(error).__name__}); save or copy it again"
+        ) from None
+    check_unfolded(sum(member.file_size for member in members), path.stat().st_size, source)
+
+
+def guarded(source: str, kind: str, function: Callable, *arguments):
+    """Call a function that opens a file with a library, and turn any error into one line.
+
+    Raises:
+        BadInput: the library's reason, shortened.
+    """
+    try:
+        with warnings.catch_warnings():  # warnings about the file; relevant ones are reported or refused here
+            warnings.simplefilter("ignore")
+            return function(*arguments)
+    except BadInput:
+        raise
+    except ImportError as error:
+        extra = {"openpyxl": "excel", "nptdms": "labview"}.get(error.name or "", "robot")
+        raise BadInput(f"{source}: needs the package {error.name}; run `pip install 'pitp_jax[{extra}]'`") from None
+    except Exception as error:
+        reason = cleaned(" ".join(str(error).split()) or type(error).__name__)
+        raise BadInput(f"{source}: cannot be read as a {kind} ({reason[:120]}); save or copy it again") from error

@@ -1,0 +1,214 @@
+"""Join files that hold time, input and output separately, and propose the command that joins them.
+
+one length, one clock at most, or clocks that agree:  rows side by side
+a clock in every file:                                rows in turn by their times, cells of the other files empty
+"""
+
+import os
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import BadInput, cleaned
+from ...common.units import column_names, to_base
+from .choice import choose_columns
+from .formats import Parts, open_parts, split_suffix
+from .header import NoTable
+from .options import ReadOptions
+from .refusal import Refused
+from .table import Column, Table, sample
+from .text import single_column
+
+_MOST = 12  # files that are compared
+_TOGETHER = 6  # files that hold one record
+
+
+def joined_parts(path: Path, options: ReadOptions) -> Parts:
+    """Open every part of a file, and add the columns of the files that the option `join` names.
+
+    Raises:
+        BadInput: a file cannot be read, or rows do not belong together.
+    """
+    if not options.join:
+        return open_parts(path, options)
+    beside = [_opened(Path(other), options)[0][0] for other in options.join]
+    return [[_joined([table, *beside], options) for table in tables] for tables in _opened(path, options)]
+
+
+def _opened(path: Path, options: ReadOptions) -> Parts:
+    """Open every part of a file; a file may also hold a single column of numbers."""
+    try:
+        return open_parts(path, replace(options, sheet=None, split_by=None))
+    except NoTable:
+        column = single_column(path)
+        if column is None:
+            raise
+        return [[column]]
+
+
+def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
+    """Join tables: their rows side by side, or sorted by time if every table has its own clock.
+
+    Raises:
+        BadInput: the rows do not belong together.
+    """
+    clocks = [_clock(table, options) for table in tables]
+    first = next((clock for clock in clocks if clock is not None), None)
+    same = [clock is None or first is None or _agree(clock[1], first[1]) for clock in clocks]
+    sizes = [_rows(table) for table in tables]
+    if all(same) and len(set(sizes)) == 1:
+        # one clock is enough
+        dropped = {k: clock[0] for k, clock in enumerate(clocks) if clock is not None and clock is not first}
+        return _side_by_side(tables, dropped)
+    if any(clock is None for clock in clocks):
+        rows = ", ".join(f"{table.path.name} ({size} rows)" for table, size in zip(tables, sizes, strict=True))
+        raise BadInput(
+            f"{tables[0].source}: cannot join {cleaned(rows)}; give files of the same length, or with a time column "
+            "each"
+        )
+    return _in_turn(tables, [clock for clock in clocks if clock is not None])
+
+
+def _rows(table: Table) -> int:
+    """Return the number of rows of a table, counted in its first column of numbers; 0 if it has none."""
+    for place in range(len(table.columns)):
+        with suppress(BadInput):
+            return len(table.load([place])[0])
+    return 0
+
+
+def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
+    """Return the index of a table's time column and its values in s, or None."""
+    try:
+        choice = choose_columns(table, options, ("time",))["time"]
+    except BadInput:
+        return None
+    if choice.place is None:
+        return None
+    return choice.place, to_base(table.load([choice.place])[0], choice.unit)
+
+
+def _agree(first: np.ndarray, other: np.ndarray) -> bool:
+    """Return whether two clocks (s) are equal, to a tenth of a time step."""
+    if len(first) != len(other) or np.isinf(first).any() or np.isinf(other).any():
+        return False
+    return len(first) < 2 or float(np.nanmax(np.abs(first - other))) <= 0.1 * float(np.nanmedian(np.diff(first)))
+
+
+def _side_by_side(tables: Sequence[Table], dropped: dict[int, int]) -> Table:
+    columns, owners = _columns(tables, dropped)
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [owners[place][0].load([owners[place][1]])[0] for place in places]
+
+    first = tables[0]
+    return Table(first.path, columns, load, first.place, _form(tables), first.part, first.hint, first.blanks)
+
+
+def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) -> Table:
+    """Merge the rows of all tables in order of time; cells are empty where a table has no row at that time."""
+    columns, owners = _columns(tables, {k: place for k, (place, _) in enumerate(clocks)})
+    time = np.concatenate([values for _, values in clocks])
+    order = np.argsort(time, kind="stable")
+    own = np.repeat(np.arange(len(tables)), [len(values) for _, values in clocks])[order]
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [time[order] if place == len(owners) else spread(place) for place in places]
+
+    def spread(place: int) -> np.ndarray:
+        table, inner = owners[place]
+        values = np.full(len(time), np.nan)
+        values[own == tables.index(table)] = table.load([inner])[0]
+        return values
+
+    first = tables[0]
+    return Table(
+        first.path, (*columns, Column("time_s")), load, sample, f"{_form(tables)}, rows by their times", first.part
+    )
+
+
+def _form(tables: Sequence[Table]) -> str:
+    return f"{tables[0].form}, joined with {cleaned(', '.join(table.path.name for table in tables[1:]))}"
+
+
+def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Column, ...], list[tuple[Table, int]]]:
+    """List the columns of all joined tables, and the table of each; repeated names get the file's name as a prefix.
+
+    Args:
+        tables: to be joined.
+        dropped: the place of an omitted clock, by table.
+    """
+    twice = Counter(column.name for table in tables for column in table.columns)
+    columns: list[Column] = []
+    owners: list[tuple[Table, int]] = []
+    for k, table in enumerate(tables):
+        stem = cleaned(split_suffix(table.path.name)[0])
+        for place, column in enumerate(table.columns):
+            clash = bool(column.name) and (twice[column.name] > 1 or column.name.isdecimal())
+            if dropped.get(k) == place:
+                column = Column("", form="text")
+            elif clash and not (k not in dropped and column.name in column_names("time")):
+                column = replace(column, name=f"{stem}/{column.name}")
+            columns.append(column)
+            owners.append((table, place))
+    return tuple(columns), owners
+
+
+def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Sequence[str]) -> Refused | None:
+    """Return a refusal that proposes how to join files which only together hold time, input and output, or None.
+
+    Args:
+        files: unreadable files of one call.
+        options: the caller's options.
+        quantities: the wanted ones.
+    """
+    folder = files[0].parent
+    if options.join is not None or any(file.parent != folder or file.is_dir() for file in files):
+        return None
+    if len(files) == 1:
+        files = [*files, *(f for f in sorted(folder.iterdir()) if f.is_file() and f != files[0])]
+    tables, sizes = [], []
+    for file in files[:_MOST]:
+        with suppress(BadInput):
+            table = _opened(file, options)[0][0]
+            sizes.append(_rows(table))
+            tables.append(table)
+    groups = [[t for t, other in zip(tables, sizes, strict=True) if other == size] for size in dict.fromkeys(sizes)]
+    # files of one length first, then files with their own clocks
+    for group in [*groups, tables]:
+        words = _options(group, options, quantities) if 2 <= len(group) <= _TOGETHER else None
+        if words is not None:
+            first, others = group[0], [os.fspath(table.path) for table in group[1:]]
+            names = cleaned(", ".join(os.path.basename(other) for other in others))
+            why = f"holds only some of time, input and output, and {names} the others"
+            return Refused(first.source, why, [*words, "--join", *others])
+    return None
+
+
+def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
+    """Return the options with which joined tables can be read; None if they cannot, or if one of them is complete."""
+    alone = [_missing(table, options, quantities) for table in tables]
+    if any(words is None for words in alone):
+        return None
+    try:
+        words = _missing(_joined(tables, options), options, quantities)
+    except BadInput:
+        return None
+    if words is None:
+        return options.words()
+    # with a rate any two recordings without a clock could be joined
+    single = any(some and "--rate" not in some for some in alone)
+    return words if words and "--rate" not in words and not single else None
+
+
+def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
+    """Return the options that would complete a table (empty if none would); None if it is complete."""
+    try:
+        choose_columns(table, options, quantities)
+    except BadInput as error:
+        return [*getattr(error, "options", ())]
+    return None

@@ -1,0 +1,261 @@
+"""Hold the options of reading that the user states: columns, units, scales, rate, and the format of text.
+
+u = input_scale * column,    y = output_scale * column,    t_i = i / rate where a file has no usable time
+
+A folder may hold `pitp.toml`: tables `["GLOB"]` whose keys are the long option names; the caller's options take
+precedence.
+"""
+
+import json
+import math
+import os
+import tomllib
+from dataclasses import dataclass, fields, replace
+from fnmatch import fnmatch
+from glob import escape
+from pathlib import Path
+from typing import Any
+
+from ...common.errors import BadInput, cleaned
+from ...common.units import spelt, units_of
+
+OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
+FOLDER_FILE = "pitp.toml"
+_RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
+
+
+def option_of(name: str) -> str:
+    """Return the command-line option for a field of `ReadOptions`, without dashes."""
+    return _RANGE.get(name, name.replace("_", "-"))
+
+
+@dataclass(frozen=True)
+class ReadOptions:
+    """Options of reading that the user states; None lets the file decide.
+
+    Attributes:
+        time_column, input_column, output_column: exact headers, or numbers of columns from 1.
+        time_unit, input_unit, output_unit: units of these columns, instead of the file's.
+        input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
+        output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
+        rate: samples per second of files without time, or instead of any clock.
+        header_line: the line that names the columns, counted from 1 with comments and blanks.
+        units_line: the line that holds the units, or "none".
+        separator, decimal, encoding: of text.
+        sheet: of a workbook.
+        split_by: a column, "sheet" or "group": a record for each of its values.
+        from_s, to_s: the range of time of every recording, in s after its first row.
+        join: files with the other columns of the same rows, if time, input and output are in separate files.
+        joint: of the joints that `each` in `pitp.toml` names, the one to read.
+
+    Raises:
+        BadInput: an unknown unit, a scale of zero, a rate that is not positive, all of them at once.
+    """
+
+    time_column: str | None = None
+    input_column: str | None = None
+    output_column: str | None = None
+    time_unit: str | None = None
+    input_unit: str | None = None
+    output_unit: str | None = None
+    input_scale: float | None = None
+    output_scale: float | None = None
+    rate: float | None = None
+    header_line: int | None = None
+    units_line: str | None = None
+    separator: str | None = None
+    decimal: str | None = None
+    encoding: str | None = None
+    sheet: str | None = None
+    split_by: str | None = None
+    from_s: float | None = None
+    to_s: float | None = None
+    join: tuple[str, ...] | None = None
+    joint: str | None = None
+
+    def __post_init__(self):
+        """Refuse options with which no file could be read."""
+        problems = []
+        for quantity, stem in OPTIONS.items():
+            unit = self.unit(quantity)
+            if unit is None:
+                continue
+            known = spelt(unit) if isinstance(unit, str) else None
+            if known not in units_of(quantity):
+                problems.append(f"--{stem}-unit {unit!r} is not one of {', '.join(units_of(quantity))}")
+            object.__setattr__(self, f"{stem}_unit", known)
+        for name in ("input_scale", "output_scale", "rate"):
+            value = getattr(self, name)
+            number = value is None or (isinstance(value, (int, float)) and math.isfinite(value) and value != 0)
+            if not number or (name == "rate" and value is not None and value < 0):
+                kind = "positive number" if name == "rate" else "finite number other than 0"
+                problems.append(f"--{name.replace('_', '-')} {value!r} is not a {kind}")
+        problems += self._range_problems() + self._text_problems()
+        if problems:
+            raise BadInput("; ".join(problems))
+
+    def _range_problems(self) -> list[str]:
+        first, last = self.from_s or 0.0, math.inf if self.to_s is None else self.to_s
+        numbers = all(isinstance(value, (int, float)) and not math.isnan(value) for value in (first, last))
+        if numbers and 0 <= first < last:
+            return []
+        return [f"--from {self.from_s!r} --to {self.to_s!r} is not a time range; give seconds with 0 <= from < to"]
+
+    def _text_problems(self) -> list[str]:
+        problems = []
+        if self.header_line is not None and not (isinstance(self.header_line, int) and self.header_line > 0):
+            problems.append(f"--header-line {self.header_line!r} is not a line number; give a whole number from 1")
+        if self.units_line is not None and self.units_line != "none" and not str(self.units_line).isdecimal():
+            problems.append(
+                f"--units-line {self.units_line!r} is not a line number; give a whole number from 1, or none"
+            )
+        if self.separator is not None:
+            named = {"tab": "\t", "\\t": "\t", "blank": " ", "space": " ", "comma": ",", "semicolon": ";"}
+            object.__setattr__(self, "separator", named.get(self.separator, self.separator))
+            if len(self.separator) != 1 or self.separator.isalnum() or self.separator in '\n\r"':
+                problems.append(f"--separator {self.separator!r} is not a separator; give one character, tab or blank")
+        if self.decimal not in (None, ".", ","):
+            problems.append(f"--decimal {self.decimal!r} is not a decimal mark; give . or ,")
+        try:
+            "".encode(self.encoding or "utf-8")
+        except LookupError:
+            problems.append(
+                f"--encoding {cleaned(self.encoding)!r} is not known; use utf-8, cp1252, cp932, gb18030, cp1251, ..."
+            )
+        return problems
+
+    def column(self, quantity: str) -> str | None:
+        """Return the header that the user states for a quantity, or None."""
+        return getattr(self, f"{OPTIONS[quantity]}_column")
+
+    def unit(self, quantity: str) -> str | None:
+        """Return the unit that the user states for a quantity, or None."""
+        return getattr(self, f"{OPTIONS[quantity]}_unit")
+
+    def scale(self, quantity: str) -> float | None:
+        """Return the scale that the user states for input or output; None for the time."""
+        return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
+
+    def said(self) -> dict[str, Any]:
+        """Return the stated options by their command-line names, without those that are None and without `joint`."""
+        values = {option_of(f.name): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def words(self) -> list[str]:
+        """Return the stated options as words of a command line."""
+        return [word for name, value in self.said().items() for word in (f"--{name}", *_words(value))]
+
+
+def _words(value: Any) -> list[str]:
+    if isinstance(value, tuple):
+        return list(value)
+    return [f"{value:.12g}" if isinstance(value, float) else str(value)]
+
+
+def folder_file(said: dict[str, dict[str, Any]]) -> str:
+    """Write the text of a `pitp.toml` that states these options, in one section if all files share them.
+
+    Args:
+        said: options by file name.
+    """
+    sections = {escape(name): options for name, options in said.items()}
+    endings, first = {Path(name).suffix for name in said}, next(iter(said.values()), {})
+    if len(said) > 1 and len(endings) == 1 and "join" not in first and all(o == first for o in said.values()):
+        sections = {f"*{endings.pop()}": first}
+    lines = ["# put beside the sources as pitp.toml, this reads them as pitp check did"]
+    for pattern, options in sections.items():
+        values = [f"{key} = {json.dumps(v, ensure_ascii=False)}" for key, v in options.items()]
+        lines += ["", f"[{json.dumps(pattern, ensure_ascii=False)}]", *values]
+    return "\n".join(lines) + "\n"
+
+
+def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
+    """Complete the options by those of `pitp.toml` beside the file; options of the caller take precedence.
+
+    Raises:
+        BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
+    """
+    said = _of_file(path)
+    source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
+    if isinstance(said.get("units_line"), int):
+        said["units_line"] = str(said["units_line"])
+    if "join" in said:
+        said["join"] = joined_in(path)
+    # the options of the caller
+    own = {f.name: getattr(options, f.name) for f in fields(options)}
+    if options.joint is not None and options.joint not in joints:
+        raise BadInput(f"{cleaned(path)}: {source} has no joint {options.joint!r}; add it to `each` there")
+    if options.joint is not None:
+        said |= dict(zip(("input_column", "output_column"), joints[options.joint], strict=True))
+    elif joints and not (own["input_column"] or own["output_column"]):
+        raise BadInput(
+            f"{source}: `each` names {', '.join(joints)}; give joint=NAME, or --input-column, --output-column"
+        )
+    try:
+        return replace(options, **{name: value for name, value in said.items() if own[name] is None})
+    except BadInput as error:
+        raise BadInput(f"{source}: {error}") from None
+
+
+def joined_in(path: Path) -> tuple[str, ...]:
+    """Return the files that `join` in the `pitp.toml` beside a file adds to it; empty without such an option."""
+    try:
+        names = _of_file(path).get("join", ())
+    except BadInput:  # refused when the file is read
+        return ()
+    beside = [path.parent / str(name) for name in ([names] if isinstance(names, str) else names)]
+    return tuple(os.fspath(other) for other in beside if other != path)
+
+
+def joints_in(path: Path) -> list[str]:
+    """Return the robot joints that `each` in `pitp.toml` names for a file, or for all files of a folder."""
+    files = sorted(path.iterdir()) if path.is_dir() else [path]
+    return list(dict.fromkeys(name for file in files for name in joints_of(_of_file(file).get("each", {}))))
+
+
+def joints_of(each: Any) -> dict[str, tuple[str, str]]:
+    """Return the input and output column of every robot joint, by joint name.
+
+    Args:
+        each: a list of NAME=INPUT,OUTPUT, or a table of NAME = "INPUT,OUTPUT" or NAME = [INPUT, OUTPUT].
+
+    Raises:
+        BadInput: another form, or two joints of one name.
+    """
+    if not isinstance(each, (list, dict)):
+        raise BadInput("each must be a list of NAME=INPUT,OUTPUT, one for every joint")
+    pairs = [str(joint).partition("=")[::2] for joint in each] if isinstance(each, list) else list(each.items())
+    joints = {}
+    for name, ports in pairs:
+        columns = tuple(ports.split(",") if isinstance(ports, str) else ports)
+        if not name or "/" in name or name.startswith(".") or len(columns) != 2 or not all(map(str, columns)):
+            raise BadInput(f"--each {cleaned(name)}: give NAME=INPUT,OUTPUT, the exact headers of one joint")
+        if name in joints:
+            raise BadInput(f"--each: two joints have the name {cleaned(name)}; give each joint its own name")
+        joints[name] = str(columns[0]), str(columns[1])
+    return joints
+
+
+def _of_file(path: Path) -> dict[str, Any]:
+    """Read the options for a file from the `pitp.toml` beside it, by the names of `ReadOptions` and `each`."""
+    file = path.parent / FOLDER_FILE
+    if not file.is_file():
+        return {}
+    source = cleaned(file)
+    try:
+        tables = tomllib.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise BadInput(f"{source}: cannot be read as TOML ({cleaned(error)[:100]}); correct the file") from None
+    known = {option_of(f.name): f.name for f in fields(ReadOptions) if f.name != "joint"} | {"each": "each"}
+    said = {}
+    for glob, table in tables.items():
+        if not isinstance(table, dict):
+            raise BadInput(f'{source}: {cleaned(glob)!r} is outside a table; put it below ["GLOB"], such as ["*.csv"]')
+        strange = [cleaned(key) for key in table if key.replace("_", "-") not in known]
+        if strange:
+            keys = ", ".join(sorted(known))
+            raise BadInput(f"{source}: {', '.join(strange)}: unknown key; the keys are {keys}")
+        # later tables take precedence, so that one file can differ from its kind
+        if fnmatch(path.name, glob):
+            said |= {known[key.replace("_", "-")]: value for key, value in table.items()}
+    return said

@@ -1,0 +1,134 @@
+"""Define a table: the common form of all file formats, before columns are chosen and units are read.
+
+columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ...common.errors import cleaned
+from .guard import as_column, check_columns, guarded
+
+_WIDEST = 63  # lines of a matrix that may be columns; a record has more samples
+
+
+@dataclass(frozen=True)
+class Column:
+    """The header, unit and form of one column of a file; the values are loaded later.
+
+    Attributes:
+        name: its exact header, cleaned.
+        beside: its unit in the file outside the header (units row, attribute), or None.
+        spoken: its unit in a comment; used only if there is no other.
+        form: "number", "stamp" (dates and hours, loaded as seconds) or "text".
+        clock: (first time, step) in s of a channel that has its own clock, or None.
+    """
+
+    name: str
+    beside: str | None = None
+    spoken: str | None = None
+    form: str = "number"
+    clock: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """The columns of one file, or of a part of it; values are loaded when asked for.
+
+    Attributes:
+        path: the file.
+        columns: in file order, with repeats.
+        load: function from their places to float64 columns of shape (T,), nan where a cell is empty; raises BadInput.
+        place: words for a sample index from 0 (`sample 7 (line 9)`).
+        form: recognised format, for the summary (`text, separated by ';', decimal comma`).
+        part: the sheet or group that it is, or empty.
+        hint: the rate given in the file outside the columns (`Delta_X 0.001`), or empty.
+        blanks: empty lines among the rows; without a clock each is a lost sample.
+        texts: the values of a column as text, for splitting by it.
+    """
+
+    path: Path
+    columns: tuple[Column, ...]
+    load: Callable[[Sequence[int]], list[np.ndarray]]
+    place: Callable[[int], str]
+    form: str
+    part: str = ""
+    hint: str = ""
+    blanks: int = 0
+    texts: Callable[[int], np.ndarray] | None = None
+
+    @property
+    def source(self) -> str:
+        """Return the file's path, cleaned for messages."""
+        return cleaned(self.path)
+
+
+def sample(index: int) -> str:
+    """Describe a sample of a file without lines, for messages."""
+    return f"sample {index}"
+
+
+def array_table(
+    path: Path,
+    stored: Mapping[str, Any],
+    form: str,
+    *,
+    beside: Mapping = MappingProxyType({}),
+    part: str = "",
+    clocks: Mapping = MappingProxyType({}),
+    shapes: Mapping = MappingProxyType({}),
+) -> Table:
+    """Make a table of named arrays.
+
+    Args:
+        path: the file.
+        stored: arrays, or functions that read one, by name.
+        form: name of the file format.
+        beside: units beside the data, by name.
+        part: the group, if the file is split by groups.
+        clocks: (first time, step) of channels that have their own clock.
+        shapes: of the arrays not read yet; a matrix of samples gives a column for each of its lines, counted from 1.
+
+    Raises:
+        BadInput: more columns than reasonable.
+    """
+    stored = dict(pair for n, v in stored.items() for pair in _lines(n, v, shapes.get(n, getattr(v, "shape", ()))))
+    source, names = cleaned(path), list(stored)
+    check_columns(len(names), source)
+    columns = tuple(Column(cleaned(n), _text(beside.get(n)), clock=clocks.get(n)) for n in names)
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        return [guarded(source, form, _loaded, stored[names[k]], columns[k].name, source) for k in places]
+
+    return Table(path, columns, load, sample, form, part)
+
+
+def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
+    """Return a vector unchanged; split a long matrix into columns `data[1]`, `data[2]`, ..."""
+    # long in one dimension: an image or a map is long in both
+    if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
+        return [(name, values)]
+
+    def line(k: int) -> np.ndarray:
+        matrix = np.asarray(values() if callable(values) else values)
+        return matrix[:, k] if shape[0] > shape[1] else matrix[k]
+
+    return [(f"{name}[{k + 1}]", lambda k=k: line(k)) for k in range(min(shape))]
+
+
+def _loaded(values: Any, column: str, source: str) -> np.ndarray:
+    return as_column(values() if callable(values) else values, column, source)
+
+
+def _text(value: Any) -> str | None:
+    """Return a unit attribute as text, also if it is stored as bytes or an array of one string."""
+    if isinstance(value, np.ndarray) and value.size == 1:
+        value = value.reshape(-1)[0]
+    if isinstance(value, bytes):
+        value = value.decode("utf-8", "replace")
+    return value.strip() or None if isinstance(value, str) else None

@@ -1,0 +1,482 @@
+"""Read text tables (.csv .txt .dat .tsv .lvm, also .gz) through pandas' C parser.
+
+bytes -> possible encodings -> separator and decimal mark -> layouts (a signature decides) -> rows of numbers
+
+Only where the parser fails is the text read row by row, to name the first bad line and column.
+"""
+
+import codecs
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+
+from ...common.errors import BadInput, cleaned
+from ...common.units import spelt
+from .guard import check_count, file_bytes, gunzip
+from .header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
+from .names import read_header
+from .options import ReadOptions
+from .refusal import Refused
+from .signatures import SIGNATURES
+from .stamps import is_stamp, seconds
+from .table import Column, Table
+
+COMMENTS = ("#", "%", "//", "!")
+_ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
+_SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
+_CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})
+_HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not comments; bytes of one line
+_MARKS = tuple(mark.encode() for mark in COMMENTS)
+_QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
+_NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
+_ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
+_BROKEN = 50  # lines searched for names with line breaks in quotes
+_KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
+_CUTS = tuple(map(re.compile, (r"\s{2,}|\t", r"[,;]", r"(?<=[\])}])\s+", r"\s+")))
+_DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # not a comma between thousands
+_DATE = re.compile(rb"(?<![\d.])\d{1,4}([-./])\d{1,2}\1\d{2,4}(?![\d.])")
+_DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
+
+
+def text_tables(path: Path, options: ReadOptions) -> list[Table]:
+    """Return every table that a text file may hold, the likeliest first.
+
+    Raises:
+        BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
+    """
+    source = cleaned(path)
+    data = _text(path, source)
+    spans = _first_lines(data, source)
+    tables, refusals = [], []
+    for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options, source):
+        lines = [data[a:b].decode(encoding) for a, b, _ in spans]
+        try:
+            for layout in _layouts(lines, [n for _, _, n in spans], options, source):
+                body = _rows_only(data[spans[layout.first][0] :], layout)
+                if options.decimal is None:
+                    layout = _with_decimal(body, layout, source)
+                tables.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
+        except BadInput as error:
+            refusals.append(error)
+    if not tables:
+        raise refusals[0]
+    return tables
+
+
+def single_column(path: Path) -> Table | None:
+    """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
+    source = cleaned(path)
+    try:
+        lines = [line.strip().strip('"') for line in _text(path, source).decode("utf-8").split("\n")]
+    except (BadInput, UnicodeError):
+        return None
+    numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
+    decimal = "," if any("," in lines[k] for k in numbers[1:]) else "."
+    name = path.name.partition(".")[0]
+    if numbers and not is_number(lines[numbers[0]], decimal):
+        name = lines[numbers.pop(0)]
+    cells = [lines[k] for k in numbers]
+    if len(cells) < 2 or not all(is_number(cell, decimal) for cell in cells):
+        return None
+    values = np.array([float(cell.replace(",", ".")) for cell in cells])
+
+    def place(k: int) -> str:
+        return f"sample {k} (line {numbers[k] + 1})"
+
+    return Table(path, (Column(cleaned(name)),), lambda places: [values for _ in places], place, "text of one column")
+
+
+def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
+    """Return the layout with the decimal mark that the rows of numbers show.
+
+    Raises:
+        Refused: every comma may separate thousands.
+    """
+    if layout.separator == "," or b"," not in body:
+        return layout
+    if layout.decimal == ".":
+        comma = _DECIMAL.search(body) and not re.search(rb"\d\.\d", body)
+        return replace(layout, decimal=",") if comma else layout
+    if not _DECIMAL.search(body):
+        raise Refused(
+            source,
+            "every comma has three digits after it, so it may be a decimal or a thousands separator",
+            ["--decimal", ","],
+        )
+    return layout
+
+
+def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, encoding: str) -> Table:
+    source, above = cleaned(path), data[:start].count(b"\n")
+    check_count(body.count(b"\n"), source)
+
+    def place(sample: int) -> str:
+        return f"sample {sample} (line {_line_of(path, sample, above, layout.separator)})"
+
+    def load(places: Sequence[int]) -> list[np.ndarray]:
+        values = _parse(body, layout, places, encoding)
+        return values if values is not None else _rows(body, layout, places, encoding, source, place)
+
+    def texts(k: int) -> np.ndarray:
+        rows = csv.reader(body.decode(encoding, "replace").split("\n"), delimiter=layout.separator)
+        return np.array([row[k].strip() if k < len(row) else "" for row in rows])
+
+    parts = [f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
+    parts += ["decimal comma"] if layout.decimal == "," else []
+    parts += [encoding] if encoding not in ("utf-8", "ascii") else []
+    parts += ["a date above the table ignored"] if _DATE.search(data[:start]) else []
+    # looked for line by line only where a row could have been left out
+    blanks = data[start:].strip(b"\n").count(b"\n\n") if len(body) < len(data) - start - 1 else 0
+    form = ", ".join((*parts, *layout.notes))
+    return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
+
+
+def _text(path: Path, source: str) -> bytes:
+    """Read a text file: decompressed, with plain line ends, UTF-16 converted to UTF-8."""
+    data, wide = file_bytes(path), None
+    # by its first bytes, because downloads lose or gain suffixes
+    zipped = data.startswith(b"\x1f\x8b")
+    if path.name.lower().endswith(".gz"):
+        if not zipped:
+            raise BadInput(f"{source}: is not a gzip file although its name ends in .gz; rename it if it is plain text")
+        data = gunzip(data, source)
+    elif zipped:
+        raise BadInput(f"{source}: is a gzip file although its suffix is one of text; rename it to end in .gz")
+    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+        wide = "utf-16"
+    # every second byte is zero: UTF-16 of plain text without its mark
+    elif data[1:400:2].count(0) > 0.9 * len(data[1:400:2]) > 3:
+        wide = "utf-16-le"
+    elif data[0:400:2].count(0) > 0.9 * len(data[0:400:2]) > 3:
+        wide = "utf-16-be"
+    if wide:
+        try:
+            data = data.decode(wide).encode("utf-8")
+        except UnicodeError as error:
+            raise BadInput(f"{source}: damaged UTF-16 text ({error}); save it as UTF-8") from None
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\r" in data:
+        data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
+    if _ARROW.match(data):  # a serial monitor's prefix of every line
+        data = data.replace(b" -> ", b",")
+    if len(data.translate(None, _CONTROL)) != len(data):
+        bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
+        raise BadInput(f"{source}: line {bad}: control characters in a text file; save it as CSV")
+    return data
+
+
+def _unbroken(data: bytes) -> bytes:
+    """Replace line breaks inside quoted names by blanks; line numbers below stay valid."""
+    begin = 0
+    for _ in range(_BROKEN):
+        end = data.find(b"\n", begin)
+        if end < 0 or end - begin > _LONGEST:
+            break
+        if data.count(b'"', begin, end) % 2:
+            close = data.find(b'"\n', end)
+            row = data[begin : close + 1]
+            if not 0 < close - begin < _LONGEST or row.count(b"\n") > _BROKEN or row.count(b'"') % 2:
+                break  # a single quote is an inch
+            data = data[:begin] + row.replace(b"\n", b" ") + b"\n" * row.count(b"\n") + data[close + 1 :]
+            end = begin + len(row)
+        begin = end + 1
+    return data
+
+
+def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
+    """Return possible encodings of the first lines: UTF-8 if it fits, otherwise all others that fit."""
+    if options.encoding is not None:
+        try:
+            head.decode(options.encoding)
+        except UnicodeError:
+            raise BadInput(f"{source}: is not encoded as {options.encoding}; give another --encoding") from None
+        return [options.encoding]
+    fitting = []
+    for encoding in ("utf-8", *_ENCODINGS):
+        try:
+            head.decode(encoding)
+        except UnicodeError:
+            continue
+        if encoding == "utf-8":
+            return [encoding]
+        fitting.append(encoding)
+    return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 accepts any bytes
+
+
+def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
+    """Return start, end and line number of the first lines that are not empty; comments do not count to the limit."""
+    spans, begin, number, plain = [], 0, 0, 0
+    while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
+        # bounded, so that a binary file without line ends costs nothing
+        stop, number = data.find(b"\n", begin, begin + _LONGEST), number + 1
+        if stop < 0:
+            if len(data) - begin > _LONGEST:
+                raise BadInput(f"{source}: line {number}: the line is too long; save the file as plain CSV")
+            stop = len(data)
+        if data[begin:stop].strip():
+            spans.append((begin, stop, number))
+            plain += not data[begin:stop].lstrip(b' "').startswith(_MARKS)
+        begin = stop + 1
+    if not spans:
+        raise BadInput(f"{source}: the file is empty (blank lines only); record it again or leave it out")
+    return spans
+
+
+def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source: str) -> list[Layout]:
+    """Return possible layouts of a text: that of a known program, otherwise all that the rows allow."""
+    stated = (options.header_line, options.units_line, options.separator, options.decimal)
+    if stated == (None,) * 4:
+        for signature in SIGNATURES:
+            layout = signature(lines, source)
+            if layout is not None:
+                return [layout]
+    commented = [line.lstrip(' "').startswith(COMMENTS) and not _QUOTED_MARK.match(line) for line in lines]
+    plain = [line for line, comment in zip(lines, commented, strict=True) if not comment]
+    separator, decimal = _dialect(plain, options, source)
+    bare = [_bare(line) if comment else line for line, comment in zip(lines, commented, strict=True)]
+    cells = [cells_of(line, separator) for line in bare]
+    cells = _recut(bare, cells, commented, separator, decimal)
+    marked = _durations(cells, decimal)
+    rows = Rows(cells, numbers, commented)
+    made = layouts(rows, separator, decimal, source, options.header_line, options.units_line)
+    return [_with_durations(layout, marked) for layout in made] if marked else made
+
+
+def _recut(
+    lines: Sequence[str], cells: list[list[str]], commented: Sequence[bool], separator: str, decimal: str
+) -> list[list[str]]:
+    """Split rows of names differently if that gives as many cells as the rows of numbers have.
+
+    Names between blanks may hold single blanks. A comment may have other separators, or none behind brackets.
+    """
+    filled = [trimmed(row) for row in cells]  # a separator may end each row of numbers
+    widths = Counter(
+        len(row) for row in filled if len(row) > 1 and all(is_number(c, decimal) or is_stamp(c) for c in row)
+    )
+    # as many cells as most rows of numbers have
+    usual = widths.most_common(1)[0][0] if widths else 0
+
+    def recut(line: str, row: list[str], comment: bool) -> list[str]:
+        if len(row) == usual or not (comment or separator == " "):
+            return row
+        for cut in _CUTS if comment else _CUTS[:1]:
+            parts = [part.strip() for part in cut.split(_KEY.sub("", line.strip()))]
+            named = sum(header.role is not None or header.unit is not None for header in map(read_header, parts))
+            if len(parts) == usual and (cut is _CUTS[0] or 2 * named > usual):
+                return parts
+        return row
+
+    return list(map(recut, lines, cells, commented))
+
+
+def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
+    """Remove units from columns whose numbers carry one (`0.001 sec`); return the units by column index."""
+    marked = {}
+    for k in range(max(map(len, cells), default=0)):
+        column = [row[k] for row in cells if k < len(row)]
+        units = [m[1] for m in map(_DURATION.match, column) if m and spelt(m[1])]
+        # most cells have the same one; otherwise it is text
+        if 2 * len(units) > len(column) and len(set(units)) == 1:
+            marked[k] = units[0]
+            for row in cells:
+                if k < len(row):
+                    row[k] = row[k].removesuffix(units[0]).strip() if _DURATION.match(row[k]) else row[k]
+    return marked
+
+
+def _with_durations(layout: Layout, marked: dict[int, str]) -> Layout:
+    columns = list(layout.columns)
+    for k, unit in marked.items():
+        columns[k] = replace(columns[k], beside=unit, form="duration")
+    return replace(layout, columns=tuple(columns))
+
+
+def _bare(line: str) -> str:
+    return line.strip().strip('"').lstrip("#%/! \t")
+
+
+def cells_of(line: str, separator: str) -> list[str]:
+    """Split a line into cells, without blanks around them."""
+    if separator == " ":
+        line = line.strip().replace("\t", " ")
+    return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
+
+
+def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, str]:
+    """Return the separator and decimal mark with which most cells are numbers.
+
+    Raises:
+        BadInput: none gives a table.
+    """
+    best, dialect = 0.0, None
+    for separator in (options.separator,) if options.separator else _SEPARATORS:
+        try:
+            rows = [cells_of(line, separator) for line in plain]
+        except csv.Error:
+            continue
+        # the point first, because it is the default if a file has only whole numbers
+        for decimal in (options.decimal,) if options.decimal else ".,":
+            score = _score(rows, decimal)
+            # equal scores keep the separator tried first
+            if score > best + 1e-9:
+                best, dialect = score, (separator, decimal)
+    if dialect is None:
+        raise NoTable(source)
+    return dialect
+
+
+def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
+    """Score a split into cells: fraction of rows of the usual length, times the fraction of cells that are numbers."""
+    widths: dict[int, list[int]] = {}
+    for row in rows:
+        filled = trimmed(row)
+        # a word among numbers (a flag, a name) does not disqualify a row
+        good = sum(bool(c) and (is_number(c, decimal) or is_stamp(c) or bool(_DURATION.match(c))) for c in filled)
+        if good >= 2 or (good and len(filled) == 2):
+            counts = widths.setdefault(len(row), [0, 0, 0])
+            counts[0] += 1
+            counts[1] += good
+            counts[2] += sum(map(bool, filled))
+    if not widths:
+        return 0.0
+    # the usual length is that of most rows; headers and settings have others
+    many, good, filled = max(widths.values())
+    return good / filled * many / len(rows)
+
+
+def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
+    """Return the line number of a sample, counted from 1; the file is read again for it."""
+    lines = enumerate(_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
+    filled = (number for number, line in lines if _is_row(line, separator))
+    return next(islice(filled, sample, None), above + 1 + sample)
+
+
+def _is_row(line: bytes, separator: str) -> bool:
+    """Return whether a line holds cells: it is neither empty nor a comment."""
+    return bool(line.strip()) and not line.startswith(_MARKS)
+
+
+def _first_bytes(body: bytes) -> np.ndarray:
+    """Return the first byte of every line except the first."""
+    codes = np.frombuffer(body, dtype=np.uint8)
+    return codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1]
+
+
+def _rows_only(body: bytes, layout: Layout) -> bytes:
+    """Drop comment lines, blank lines, and empty rows at the end of the text."""
+    # one pass over the lines: a search for each mark took a ninth of the reading of a long file
+    if np.isin(_first_bytes(body), _NO_ROW).any():
+        body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
+    # rows of separators alone, which a spreadsheet leaves below its data
+    kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
+    end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
+    return body if end < 0 else body[:end]
+
+
+def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
+    """Load columns with the C parser; return None if only row-by-row reading can explain or read the text."""
+    import pandas as pd
+
+    # quotes around numbers only slow the parser down
+    if b'"' in body:
+        body = body.replace(b'"', b"")
+    if not _rectangular(body, layout):
+        return None
+    words = [k for k in places if layout.columns[k].form in ("stamp", "duration")]
+    try:
+        frame = pd.read_csv(
+            io.BytesIO(body), header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
+            sep=r"\s+" if layout.separator == " " else layout.separator, decimal=layout.decimal, encoding=encoding,
+            dtype={k: str if k in words else np.float64 for k in places}, index_col=False, skip_blank_lines=False,
+            skipinitialspace=b" " in body or b"\t" in body,
+        )  # fmt: skip
+        columns = [frame[k] for k in places]
+        if any(layout.columns[k].form == "duration" for k in words):
+            return None
+        return [
+            seconds(list(c)) if k in words else c.to_numpy(np.float64) for k, c in zip(places, columns, strict=True)
+        ]
+    except (ValueError, OverflowError, pd.errors.ParserError):
+        return None
+
+
+def _rectangular(body: bytes, layout: Layout) -> bool:
+    """Return whether every row has the same number of cells as the layout."""
+    # counted in bytes, because the C parser fills short rows silently
+    codes = np.frombuffer(body, dtype=np.uint8)
+    ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
+    if layout.separator == " ":
+        blank = np.isin(codes, (9, 10, 32))
+        marks, each = np.flatnonzero(~blank & np.append(True, blank[:-1])), layout.width
+    else:
+        marks, each = np.flatnonzero(codes == ord(layout.separator)), layout.width - 1
+    if len(marks) != len(ends) * each:
+        return False
+    # the marks of row k lie between the ends of rows k - 1 and k
+    marks = marks.reshape(-1, each)
+    return bool(np.all(marks[:, -1] < ends) and np.all(marks[1:, 0] > ends[:-1]))
+
+
+def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
+    lines = body.decode(encoding, errors="replace").split("\n")
+    return (cells_of(line, layout.separator) for line in lines)
+
+
+def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int], str]) -> list[np.ndarray]:
+    """Load columns row by row; refuse the first bad row with its line and column."""
+    values, width = [], layout.width
+    try:
+        for row in _split(body, layout, encoding):
+            # separators at the end of a row
+            while len(row) > width and not row[-1].strip():
+                row.pop()
+            if len(row) != width and not (len(row) == width - 1 and not layout.columns[-1].name):
+                short = layout.columns[len(row)].name if len(row) < width else layout.columns[-1].name
+                raise BadInput(
+                    f"{source}: column {short!r}, {place(len(values))}: {len(row)} cells, but {width} in the other "
+                    "rows; correct the line or --separator"
+                )
+            values.append([row[k].strip() if k < len(row) else "" for k in places])
+    except csv.Error as error:
+        raise BadInput(
+            f"{source}: sample {len(values)}: cannot be read as CSV ({error}); save it as plain CSV"
+        ) from None
+    columns = list(zip(*values, strict=True)) or [()] * len(places)
+    return [numbers_of(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
+
+
+def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
+    """Convert the cells of column k to numbers; dates and times of day become seconds.
+
+    Raises:
+        BadInput: with the first cell that is not a number.
+    """
+    column = layout.columns[k]
+    if column.form == "stamp":
+        try:
+            return seconds(cells)
+        except (ValueError, OverflowError) as error:
+            raise BadInput(
+                f"{source}: column {column.name!r}: cannot be read as dates and hours ({cleaned(error)[:60]}); write "
+                "seconds, or give --rate HZ"
+            ) from None
+    if column.form == "duration" and column.beside:
+        cells = [cell.removesuffix(column.beside).strip() for cell in cells]
+    for sample, cell in enumerate(cells):
+        if not is_number(cell, layout.decimal):
+            shown = cleaned(cell if len(cell) <= 20 else cell[:20] + "...")
+            raise BadInput(
+                f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
+                "number (leave a missing output empty)"
+            )
+    plain = str.maketrans("Dd,", "Ee.") if layout.decimal == "," else str.maketrans("Dd", "Ee")  # Fortran's 1.0D-3
+    point = (cell.translate(plain) for cell in cells)
+    return np.array([float("nan") if cell.lower() in MISSING else float(cell) for cell in point])

@@ -1,0 +1,66 @@
+"""Write a model and its inverse as MATLAB functions without toolboxes, which also run in GNU Octave.
+
+[y, s] = pitp_<name>_predict(u, s)        [u, s, flags] = pitp_<name>_inverse([y y' ... y^(n)], s)
+"""
+
+from pathlib import Path
+
+import numpy as np
+
+from ...method.model.fitted import Fitted
+from ...method.model.model import Model
+from . import plan as planning
+from .c99 import filled, frame, substitutions
+from .plan import Plan, Written, rate_error, whole_folder
+from .writing import Writer
+
+
+def export_matlab(
+    model: Model | Fitted, folder: str | Path, *, name: str = "model", rate: float | None = None
+) -> float | None:
+    """Write a model and its inverse as two MATLAB functions into a new folder, in double precision.
+
+    Args:
+        model: as for `export_c`; folder, name and rate likewise.
+
+    Returns:
+        error due to a rate other than the model's, e_rms in %; None at its own rate.
+
+    Raises:
+        BadInput: with nothing written.
+
+    Examples:
+        >>> pitp.export_matlab(model, folder / "matlab")  # doctest: +SKIP
+    """
+    plan = planning.plan(model, name, rate, "double", np.inf)
+    cost = rate_error(plan)
+    with whole_folder(folder) as stage:
+        for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
+            values = {**substitutions(plan), "functions": functions(written, outputs)}
+            (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values), encoding="utf-8")
+        _write_check(plan, stage, frame(plan, cost))
+    return cost
+
+
+def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
+    """Write a README, and a MATLAB function that checks the functions with the test vector."""
+    test, square = plan.test, plan.model.input_map.one_sided
+    told = slice(test.every - 1, None, test.every)
+    columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
+    values |= {name: ";\n".join(map(repr, column[told].tolist())) for name, column in columns.items()}
+    values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion[told].tolist())
+    values["force_error"] = "u .^ 2 - planned .^ 2" if square else "u - planned"
+    (folder / f"pitp_{plan.name}_check.m").write_text(filled("check.m", values), encoding="utf-8")
+    (folder / "README.md").write_text(filled("README_matlab.md", values), encoding="utf-8")
+
+
+def functions(written: Written, outputs: int) -> str:
+    """Write the MATLAB functions `start` and `step`, and the bodies of their loops, as text."""
+    # local functions of the file: MATLAB exposes only the first one
+    writer, text = Writer("matlab"), ""
+    for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):
+        inputs = [f"s({k + 1})" for k in range(states)] + [f"in({k + 1})" for k in range(code.inputs - states)]
+        to = [f"next({k + 1})" for k in range(written.states)] + [f"out({k + 1})" for k in range(count)]
+        lines = [f"next = zeros({written.states}, 1);", f"out = zeros({count}, 1);", *writer.body(code, inputs, to)]
+        text += f"function [next, out] = {name}(s, in)\n" + "".join(f"{line}\n" for line in lines) + "end\n\n"
+    return text + "\n".join(writer.beside)

@@ -1,0 +1,182 @@
+"""Tune a PI controller that acts on the force, from the model and a closed-loop time constant (IMC).
+
+    F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I,   e = wanted - measured (model coordinates)
+    loop and margins: `method.invert.loop`, with G = dx/dF of the sampled decoder with its effects, the input held
+
+The controller's zero cancels a_0 + a_1 s, so that below the resonance L = 1 / (lambda s). At the resonance |L| is
+1 / (2 zeta lambda w_0). Acting on the force, u = map^-1(F), keeps L the same at every voltage. G is linearised about
+equilibria of the trained stroke (`equilibria`), a_0 is the least stiffness among them.
+
+Rivera, Morari and Skogestad (1986), Internal model control: PID controller design.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...common.errors import BadInput
+from ...method.effects.kernels import total_delay
+from ...method.invert.loop import Plant, linearised, margins
+from ...method.model.coordinate import from_model, sign
+from ...method.model.fitted import Fitted, model_of
+from ...method.model.model import Model
+from ...method.model.programs import in_double
+from . import steps
+from .equilibria import equilibria
+
+SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
+_CHOSEN = 1.7  # bound for the default time constant, below the limit, because a model is not the actuator
+_FINER, _LONGEST = 1.05, 1e3  # ratio of two time constants of a search; its end, over 2 / (zeta w_0)
+_ALONE = "; --time-constant inf exports the feedforward without a controller"
+
+
+@dataclass(frozen=True)
+class PIGains:
+    """The gains of a PI controller that acts on the force, with the robustness of the closed loop.
+
+    Attributes:
+        p: V^2 / m (V / m for a linear input), in the model's direction.
+        i: V^2 / (m s).
+        time_constant: of the closed loop, s; also that of the back-calculation.
+        gain_margin: by how much the plant's gain may grow.
+        max_sensitivity: largest |1 / (1 + L)|.
+    """
+
+    p: float
+    i: float
+    time_constant: float
+    gain_margin: float
+    max_sensitivity: float
+
+
+def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: float | None = None) -> PIGains:
+    """Compute the gains of a PI controller that acts on the force (V^2/m or V/m), from a model.
+
+    Args:
+        model: identified or trained, with any effects.
+        dt: s between two samples of the controller; None: the model's own.
+        time_constant: of the closed loop, s; None: the shortest one with a maximum sensitivity of at most 1.7;
+            inf: no controller, P = I = 0.
+
+    Returns:
+        the gains, the gain margin and the maximum sensitivity.
+
+    Raises:
+        BadInput: the maximum sensitivity is above 2 at this time constant, or no margin can be computed: no voltage of
+            the model's range holds the actuator, or the model has no derivatives there.
+
+    Examples:
+        >>> gains = pitp.pi_gains(model)
+        >>> gains.max_sensitivity < 2 < gains.gain_margin
+        True
+    """
+    model = model_of(model)
+    dt = model.dt if dt is None else dt
+    if time_constant is not None and np.isposinf(time_constant):
+        return PIGains(0.0, 0.0, np.inf, np.inf, 1.0)
+    if time_constant is not None and not time_constant > 0:
+        raise BadInput(f"--time-constant {time_constant:g}is not a positive number of seconds")
+    tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
+    if time_constant is None:
+        return _shortest(tuned, slowest, dt, _CHOSEN)
+    gains = tuned(time_constant)
+    if gains.max_sensitivity > SENSITIVE:
+        enough = _shortest(tuned, max(slowest, time_constant), dt, SENSITIVE)
+        raise BadInput(
+            f"--time-constant {time_constant:g} s: the maximum sensitivity would be {gains.max_sensitivity:.3g}, "
+            f"above {SENSITIVE:g} (gain margin {gains.gain_margin:.3g}); give at least "
+            f"{_rounded_up(enough.time_constant):g} s"
+        )
+    return gains
+
+
+def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
+    """Return a function that computes the gains and margins for a closed-loop time constant (s).
+
+    Raises:
+        BadInput: no margin can be computed.
+    """
+    a = model.physical_coefficients
+    with jax.enable_x64(True):
+        plants, stiffness = operating_points(in_double(model), dt)
+    a0 = min(a[0], *stiffness)
+
+    def tuned(seconds: float) -> PIGains:
+        i = float(a0 / seconds)
+        p = float(a[1] / a[0] * i)
+        return PIGains(p, i, float(seconds), *margins(plants, p, i, dt))
+
+    return tuned
+
+
+def _slowest(a: np.ndarray) -> float:
+    """Return 2 / (zeta w_0) of the slowest resonance (s); without a resonance, 2 / |p| of the slowest pole p."""
+    poles = np.roots(a[::-1])
+    pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
+    return float(2 / np.abs((pairs if len(pairs) else poles).real).min())
+
+
+def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
+    """Find the shortest closed-loop time constant within a maximum sensitivity, starting at `first` (s).
+
+    Raises:
+        BadInput: none exists.
+    """
+    gains = tuned(first)
+    while gains.max_sensitivity > sensitivity:
+        if gains.time_constant > _LONGEST * first:
+            raise BadInput(
+                f"no PI controller: no time constant up to {_LONGEST * first:.2g} s keeps the maximum sensitivity "
+                f"below {sensitivity:g}{_ALONE}"
+            )
+        gains = tuned(_FINER * gains.time_constant)
+    while gains.time_constant > dt:
+        shorter = tuned(gains.time_constant / _FINER)
+        if shorter.max_sensitivity > sensitivity:
+            break
+        gains = shorter
+    return gains
+
+
+def _rounded_up(seconds: float) -> float:
+    """Round a time up to two digits, so that the proposed time constant is accepted."""
+    unit = 10 ** (np.floor(np.log10(seconds)) - 1)
+    return float(f"{np.ceil(seconds / unit * (1 - 1e-9)) * unit:.2g}")
+
+
+def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]:
+    """Linearise the model about the equilibria of its stroke; return each with its stiffness dF/dx.
+
+    Raises:
+        BadInput: no equilibrium exists, or the model has no derivatives at one.
+    """
+    late = total_delay(model.effects)
+    # A machine held by dry friction does not respond, so the loop is tuned for the sliding machine.
+    model = replace(model, effects=tuple(e for e in model.effects if not (e.delays or e.spec.resolved)))
+    forward = steps.predict(model, dt, held=True)
+    square, way = model.input_map.one_sided, float(sign(model))
+    points, stiffness = [], []
+    for point in equilibria(model):
+        # after a snap no voltage holds it still: the loop is not tuned about it
+        if point.stiffness > 0:
+            u = point.voltage
+            state = forward.start(jnp.asarray(from_model(model, point.displacement)), jnp.asarray(u))
+            points.append((state, u, way / (2 * u) if square else way))  # dx/dF = dx/du du/dF, F = u^2
+            stiffness.append(point.stiffness)
+    if not points:
+        raise BadInput(
+            f"no PI controller: no voltage in the model's range holds a displacement within its stroke{_ALONE}"
+        )
+
+    def run(state, voltage):
+        after, out = forward.run(state, voltage[None])
+        return after, out[0]
+
+    plants = linearised(run, points, dt, model.natural_frequency, late)
+    known = [plant for plant in plants if plant is not None]
+    if len(known) < len(plants):
+        raise BadInput(f"no PI controller: the model has no finite derivatives within its stroke{_ALONE}")
+    return known, stiffness

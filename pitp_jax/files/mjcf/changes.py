@@ -1,0 +1,226 @@
+"""Convert parameters of a simulator and a robot to attributes of a MuJoCo file.
+
+    F: torque per unit of the command,   k: how much larger the robot's F is
+    J_robot - J_sim = k F a_2' - F a_2,  D, K likewise;   friction  k F f;   k = 1 unless all coefficients changed alike
+
+From commands and motion only the ratios of J, D, K to F are known. Where the robot's J and D are smaller (or larger) by
+one factor, its gain is the larger (or smaller) one: one changed parameter instead of two. The same holds if the inertia
+would fall below that of the links, which an armature cannot achieve.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from ...common.numbers import number
+from ...method.diagnose.joint import Parameter
+from .change import Change, NotWritten
+from .document import Tag
+from .joint import Joint
+from .weight import add_weight
+
+_ALIKE = 0.1  # of their logarithm, plus two standard errors: two factors that differ by less are one
+_WEIGHT = "softening weight"
+_TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one side
+
+
+_WAYS = {
+    "backlash width": "a second hinge in series with a range of +- half of it (one more body, a smaller timestep)",
+    "backlash rate": "damping of that second hinge over its inertia",
+    "second_mode inertia": "a second body on a hinge with stiffness and damping",
+    "second_mode spring": "stiffness of that second hinge",
+    "second_mode damper": "damping of that second hinge",
+    "slew_limit inverse": "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
+    "dead_zone level": "subtract it from ctrl in your control loop",
+    _WEIGHT: "mass of the body, or pos of its inertial: m g l must rise by the difference",
+    "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
+    "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
+    "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
+    "coulomb_friction mu": "none, because frictionloss does not grow with the load",
+    "sensor_lag tau": "none on the sensor; filter qpos in your control loop",
+}
+
+
+def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
+    """Return the changes to write into a MuJoCo file, and the parameters that the file cannot hold.
+
+    Args:
+        joint: as it is in the file.
+        told: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+
+    Returns:
+        changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
+    """
+    rows = {p.name: p for p in told if _is_known(p)}
+    f = joint.torque_per_command
+    k, beside = _gain_factor(joint, {p.name: p for p in told}, rows)
+    found: list[Change] = []
+    if k != 1.0:
+        found += _gain(joint, k, beside)
+    for name, attribute, unit in (
+        ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
+        ("coulomb_friction level", "frictionloss", "N m"),
+    ):  # fmt: skip
+        row = rows.get(name) or (next((p for p in told if p.name == name), None) if k != 1.0 else None)
+        if row is None:
+            continue
+        difference = f * (k * row.robot - row.simulator)
+        if name == "stiffness" and joint.position:  # the controller's own spring, kp g^2, grew with the gain
+            difference = f * k * (row.robot - row.simulator)
+        error = None if row.stderr is None else f * k * row.stderr
+        if error is not None and abs(difference) < 2 * error:
+            continue
+        old = getattr(joint, attribute)
+        found.append(
+            _moved(joint, attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit))
+        )
+    found, element = _with_weight(joint, found, rows.get(_WEIGHT), f, k)
+    found += _of_actuator(joint, rows, f * k)
+    found += _stops(joint, rows)
+    written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
+               "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
+               "end_stop place, above", "end_stop place, below"}  # fmt: skip
+    if element:
+        written.add(_WEIGHT)
+    if _lag_attribute(joint) is None:
+        written.discard("electrode_rc tau")
+    elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
+        written.add("sensor_lag tau")
+    left = [NotWritten(p.words, _value(p), _WAYS.get(name, "none")) for name, p in rows.items() if name not in written]
+    if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
+        way = "write the motor as <general> with dyntype and dynprm"
+        left = [replace(n, way=way) if n.way == "none" else n for n in left]
+    return found, left, element
+
+
+def _with_weight(
+    joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
+) -> tuple[list[Change], str]:
+    """Add a weight on the arm to the changes, and subtract its inertia from the joint's armature."""
+    if row is None or not joint.hinge:
+        return found, ""
+    changed = next((c for c in found if c.attribute == "armature"), None)
+    armature = joint.armature if changed is None else float(changed.new)
+    error = None if row.stderr is None else f * k * row.stderr
+    hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
+    if hung is None:
+        return found, ""
+    weight, element, rest = hung
+    new = _moved(joint, "armature", joint.armature, rest, None, "kg m^2")
+    new = replace(new, text=f"{new.text}, less the inertia of the weight below")
+    return [*(c for c in found if c is not changed), new, weight], element
+
+
+def _is_known(p: Parameter) -> bool:
+    """Return whether a parameter differs between simulator and robot by more than two standard errors."""
+    return bool(p.difference) and (p.stderr is None or bool(abs(p.difference) > 2 * p.stderr))
+
+
+def _value(p: Parameter) -> str:
+    error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
+    return f"{number(p.robot)}{error} {p.unit}".rstrip()
+
+
+def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping[str, Parameter]) -> tuple[float, str]:
+    """Return the factor on the actuator's gain, and another reading of the same data as text."""
+    inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
+    if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
+        return 1.0, ""
+    ratio = inertia.robot / inertia.simulator
+    error = 0.0 if inertia.stderr is None else inertia.stderr / inertia.simulator
+    alike = False
+    if damping is not None and damping.simulator > 0:
+        other = damping.robot / damping.simulator
+        spread = math.hypot(error, 0.0 if damping.stderr is None else damping.stderr / damping.simulator)
+        alike = other > 0 and abs(math.log(other / ratio)) <= 2 * spread + _ALIKE * abs(math.log(ratio))
+    impossible = joint.armature + joint.torque_per_command * inertia.difference < 0
+    if not alike and not impossible:
+        return 1.0, ""
+    return 1 / ratio, f"or inertia and damping x {number(ratio)} each" if alike else ""
+
+
+def _gain(joint: Joint, k: float, beside: str) -> list[Change]:
+    note = f"; {beside}" if beside else ""
+    old_attributes = joint.actuator_tag.attributes
+    if not joint.position:
+        gear = _with_first(old_attributes.get("gear", "1"), joint.gear * k)
+        return [Change("actuator", "gear", number(joint.gear), gear,
+                       f"gear: {number(joint.gear)} -> {number(joint.gear * k)} (x {number(k)}{note})")]  # fmt: skip
+    text = f"kp: {number(joint.kp)} -> {number(joint.kp * k)} (x {number(k)}{note})"
+    if joint.actuator_tag.name == "general":
+        gain = _with_first(old_attributes.get("gainprm", "1"), joint.kp * k)
+        bias = f"0 {number(-joint.kp * k, 6)} {number(-joint.kv, 6)}"
+        return [Change("actuator", "gainprm", number(joint.kp), gain, text),
+                Change("actuator", "biasprm", "", bias, "")]  # fmt: skip
+    return [Change("actuator", "kp", number(joint.kp), number(joint.kp * k, 6), text)]
+
+
+def _with_first(values: str, first: float) -> str:
+    return " ".join([number(first, 6), *values.split()[1:]])
+
+
+def _linear(unit: str) -> str:
+    return unit.replace("kg m^2", "kg").replace("N m s/rad", "N s/m").replace("N m/rad", "N/m").replace("N m", "N")
+
+
+def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | None, unit: str) -> Change:
+    between = "" if error is None else f" ({number(max(new - 1.96 * error, 0.0))} to {number(new + 1.96 * error)})"
+    return Change("joint", attribute, number(old), number(new, 6),
+                  f"{attribute}: {number(old)} -> {number(new)}{between} {unit}")  # fmt: skip
+
+
+def _lag_attribute(joint: Joint) -> str | None:
+    """Return the attribute in which this kind of actuator holds a time lag; None for a motor."""
+    return {"position": "timeconst", "general": "dynprm"}.get(joint.actuator_tag.name)
+
+
+def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
+    """Return the changes of the actuator's delay, time lag and limits."""
+    found = []
+    if (row := rows.get("delay time")) is not None:
+        new = max(joint.delay + row.difference, 0.0)
+        found.append(_timed("delay", joint.delay, new, row.stderr))
+        found.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
+    row = rows.get("electrode_rc tau") or rows.get("sensor_lag tau")
+    if row is not None and (attribute := _lag_attribute(joint)):
+        new = max(joint.lag + row.difference, 0.0)
+        found.append(_timed(attribute, joint.lag, new, row.stderr))
+        if attribute == "dynprm":
+            found.append(Change("actuator", "dyntype", "", "filterexact", ""))
+    for name, attribute, scale in (
+        ("voltage_clip inverse", "ctrlrange", 1.0), ("force_limit inverse", "forcerange", torque / joint.gear),
+    ):  # fmt: skip
+        if (row := rows.get(name)) is not None and math.isfinite(row.robot):
+            limit, old = number(scale * row.robot, 6), joint.actuator_tag.attributes.get(attribute, "")
+            text = f"{attribute}: {old or 'none'} -> +- {limit}"
+            found.append(Change("actuator", attribute, old, f"-{limit} {limit}", text))
+            if not joint.autolimits:
+                found.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
+    return found
+
+
+def _timed(attribute: str, old: float, new: float, error: float | None) -> Change:
+    between = "" if error is None else f" ({number(new - 1.96 * error)} to {number(new + 1.96 * error)})"
+    return Change(
+        "actuator", attribute, number(old), number(new, 6), f"{attribute}: {number(old)} -> {number(new)}{between} s"
+    )
+
+
+def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
+    both = rows.get("end_stop place")
+    above, below = rows.get("end_stop place, above") or both, rows.get("end_stop place, below") or both
+    if above is None and below is None:
+        return []
+    low, high = joint.limits or (-_TURN, _TURN)
+    low = -abs(below.robot) if below else low
+    high = above.robot if above else high
+    unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
+    new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
+    old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)
+    found = [Change("joint", "range", old, new, f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}")]
+    return found if joint.autolimits else [*found, Change("joint", "limited", "", "true", "")]
+
+
+def tag_of(joint: Joint, change: Change) -> Tag:
+    """Return the XML start tag that holds the changed attribute."""
+    return joint.actuator_tag if change.element == "actuator" else joint.joint_tag

@@ -1,0 +1,224 @@
+"""Write identified parameters into a copy of the user's MuJoCo file; only attributes change.
+
+out/arm_identified.xml    and beside it the files that it includes and loads, so that it can be played in place
+"""
+
+import hashlib
+import math
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from ...application.against.result import SimToReal
+from ...common.errors import BadInput, cleaned
+from ...common.numbers import number
+from ...common.units import base_unit
+from ...method.diagnose.joint import Parameter, parameters
+from ...method.model.lineage import sums
+from ...method.signal.record import Record
+from ..recordings.writing import write_bytes_atomic, write_text_atomic
+from . import elsewhere
+from .change import Change, NotWritten
+from .changes import changes_of, tag_of
+from .document import Document, Edit, assets, edited, read_document
+from .joint import Joint, joint_of, load_model, mujoco_package
+
+_SUFFIX = "_identified"
+_APART = 0.1  # fraction by which the inertia of recordings and file may differ before a remark
+
+
+@dataclass(frozen=True)
+class Written:
+    """The changes written into a MuJoCo file, the parameters that it cannot hold, and remarks.
+
+    Attributes:
+        file: the new file.
+        joint, actuator: their names.
+        changes: attributes with old and new value.
+        left: parameters that no attribute holds, with the nearest alternative.
+        remarks: remarks for the user.
+    """
+
+    file: Path
+    joint: str
+    actuator: str
+    changes: tuple[Change, ...]
+    left: tuple[NotWritten, ...]
+    remarks: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Write the changes and remarks as sentences for the terminal."""
+        said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
+                for c in self.changes if c.text]  # fmt: skip
+        left = [f"no attribute for {n.words}, {n.value}; nearest substitute: {n.way}" for n in self.left]
+        return [*said, *left, *self.remarks]
+
+    def as_json(self) -> dict[str, Any]:
+        """Return file, changes and remarks as a dict for JSON."""
+        return {
+            "file": str(self.file), "joint": self.joint, "actuator": self.actuator,
+            "changes": [vars(c) for c in self.changes], "not_written": [vars(n) for n in self.left],
+            "remarks": list(self.remarks),
+        }  # fmt: skip
+
+
+def write_mjcf(
+    found: SimToReal, mjcf: str | Path, joint: str, out: str | Path, *, actuator: str | None = None
+) -> Written:
+    """Write the identified parameters of the robot into a copy of the simulator's MuJoCo file.
+
+    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
+    `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
+    `delay` with `nsample` and `timeconst` if the installed MuJoCo knows them. Each change has a comment with the old
+    value, the new one and its 95 % interval.
+
+    Args:
+        found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
+        mjcf: the file.
+        joint: whose motion was recorded.
+        out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
+        actuator: the commanded one, if several act on the joint.
+
+    Returns:
+        the changes, and the parameters that could not be written.
+
+    Raises:
+        BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
+
+    Examples:
+        >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
+        >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
+    """
+    told = parameters(found.nominal, found.robot, found.records, None)
+    return write_numbers(told, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
+
+
+def write_numbers(
+    told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
+    out: str | Path, actuator: str | None = None,
+) -> Written:  # fmt: skip
+    """Write a table of parameters into a copy of a MuJoCo file.
+
+    Args:
+        told: parameters of the simulator and the robot, in the command's unit.
+        records: of the robot.
+        simulator: its coefficients a_i, shape (order + 1,).
+        mjcf, joint, out, actuator: as for `write_mjcf`.
+    """
+    document = read_document(mjcf)
+    it = joint_of(document, joint, actuator)
+    changes, left, element = changes_of(it, told)
+    changes, unknown = _known_to_mujoco(it, changes)
+    remarks = _remarks(records, simulator, it)
+    edits = []
+    for of, inserted in (("joint", element), ("actuator", "")):
+        group = [c for c in changes if c.element == of or (inserted and c.element == "body")]
+        if group:
+            attributes = {c.attribute: c.new for c in group if c.element == of}
+            edits.append(Edit(tag_of(it, group[0]), attributes, [c.text for c in group if c.text], inserted))
+    texts = edited(document, edits, _heading(records, document))
+    target = _write_all(document, texts, Path(out))
+    after = joint_of(read_document(target), joint, actuator)
+    for name, text in elsewhere.texts(after).items():
+        write_text_atomic(target.parent / name, text)
+    return Written(target, joint, it.actuator, tuple(changes), (*left, *unknown), tuple(remarks))
+
+
+def _heading(records: Sequence[Record], document: Document) -> str:
+    """Write the comment at the top of the new file: its original and the recordings, with checksums."""
+    period = sorted({number(1e3 * r.dt) for r in records})
+    original = hashlib.sha256(document.texts[document.main]).hexdigest()
+    lines = [
+        f"pitp: numbers identified on recordings; the original is {document.main.name}, SHA-256 {original}",
+        f"the command is held for {' or '.join(period)} ms",
+        *(f"recording {one['name']} SHA-256 {one['sha256']}" for one in sums(records)),
+    ]
+    return "\n     ".join(lines)
+
+
+def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> list[str]:
+    """Write remarks if the recordings disagree with the file in inertia or unit."""
+    said = []
+    seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
+    if abs(seen - it.inertia) > _APART * it.inertia:
+        said.append(
+            f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}. Check that "
+            "they were made with this file and this joint"
+        )
+    unit = base_unit(records[0].displacement_unit)
+    if unit != ("rad" if it.hinge else "m"):
+        said.append(f"the recordings are in {unit}, MuJoCo uses {'rad' if it.hinge else 'm'}; give --output-unit")
+    return said
+
+
+def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], list[NotWritten]]:
+    """Separate the changes into those that the installed MuJoCo supports and the others."""
+    mujoco = mujoco_package()
+    known, unknown = [], []
+    for change in changes:
+        tag = tag_of(it, change)
+        if change.element == "body" or _attribute_exists(mujoco, tag.name, change.attribute):
+            known.append(change)
+        elif change.text:
+            unknown.append(
+                NotWritten(change.text, change.new, f"MuJoCo {mujoco.__version__} has no {tag.name} {change.attribute}")
+            )
+    return known, unknown
+
+
+def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
+    """Return whether the installed MuJoCo knows an attribute, tested by compiling a small model."""
+    body = f'<{element} joint="q" {attribute}="x"/>' if element != "joint" else f'<joint name="r" {attribute}="x"/>'
+    inside, driven = (body, "") if element == "joint" else ("", f"<actuator>{body}</actuator>")
+    text = f'<mujoco><worldbody><body><joint name="q"/>{inside}<geom size="1"/></body></worldbody>{driven}</mujoco>'
+    try:
+        mujoco.MjModel.from_xml_string(text)
+    except ValueError as error:
+        return "unrecognized attribute" not in str(error)
+    return True
+
+
+def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
+    """Write the new file with its includes and assets, after MuJoCo has compiled them in a temporary folder.
+
+    Raises:
+        BadInput: MuJoCo rejects the new file.
+    """
+    main = document.main
+    target = out if out.suffix == ".xml" else out / identified_name(main)
+    folder = main.parent
+    with TemporaryDirectory() as kept:
+        for place in assets(document):
+            (Path(kept) / place).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(folder / place, Path(kept) / place)
+        for file, text in texts.items():
+            name = Path(target.name) if file == main else _within(file, folder)
+            (Path(kept) / name).parent.mkdir(parents=True, exist_ok=True)
+            (Path(kept) / name).write_bytes(text)
+        load_model(Path(kept) / target.name)
+        for source in sorted(p for p in Path(kept).rglob("*") if p.is_file()):
+            place = target.parent / source.relative_to(kept)
+            if place.resolve() in {file.resolve() for file in texts}:
+                raise BadInput(f"{cleaned(place)}: is a file of the original model; choose another folder")
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes_atomic(place, source.read_bytes())
+    return target
+
+
+def identified_name(mjcf: str | Path) -> str:
+    """Return the name of the copy that is written: `arm.xml` and `arm_identified.xml` become `arm_identified.xml`."""
+    return f"{Path(mjcf).stem.removesuffix(_SUFFIX)}{_SUFFIX}.xml"
+
+
+def _within(file: Path, folder: Path) -> Path:
+    try:
+        return file.relative_to(folder)
+    except ValueError:
+        raise BadInput(
+            f"{cleaned(file)}: the included file lies outside {cleaned(folder)}; put it into that folder"
+        ) from None

@@ -1,0 +1,324 @@
+"""List the parts that a model file may hold, and convert a model to plain values and back.
+
+    describe(model)  ->  header of JSON values        encode: a float that is not finite -> {"float": "inf"}
+    build(header)    ->  a model whose leaves are placeholders of the right shapes
+
+A part belongs to a file only by its line in one of five registries: input maps, encoders, memories, drives, effects.
+"""
+
+import base64
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...common.errors import BadInput, cleaned
+from ...method.effects import CATALOGUE
+from ...method.effects.effect import Effect
+from ...method.effects.found_term import TERM
+from ...method.model.domain import Domain
+from ...method.model.drive import DirectDrive, ElectrodeLag
+from ...method.model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
+from ...method.model.fitted import Fitted
+from ...method.model.input_map import LinearInput, SquareInput
+from ...method.model.memory import ElapsedTime, FadingMemory, NoMemory, RingingMemory
+from ...method.model.model import Model, Output, Scales
+from ...method.model.origin import Origin, OutOfFold
+from ...method.model.own_encoder import OwnEncoder
+from ...method.signal.excited import Table
+from ...method.signal.long_record import LongRecord
+
+LARGEST = 4096  # no size of a part is near this; building a larger one could take all memory
+
+
+@dataclass(frozen=True)
+class Part:
+    """How a model file stores one kind of part: its class, the numbers that rebuild it, and a constructor.
+
+    Attributes:
+        cls: the class; a part is stored under this name only if its type is exactly this.
+        describe: part to keyword arguments of `build`, JSON values only.
+        build: keyword arguments to a part with the same leaves' shapes; called abstractly.
+    """
+
+    cls: type
+    describe: Callable[[Any], dict]
+    build: Callable[..., Any]
+
+
+def _compact_sizes(encoder: CompactEncoder) -> dict:
+    return {
+        "order": encoder.order,
+        "memories": encoder.bounds.shape[1] - encoder.order,
+        "width": encoder.spring.readout.in_features,
+        "offset": int(encoder.offset),
+        "frugal": int(encoder.frugal),
+        **({"remainder": 1} if encoder.remainder else {}),
+    }
+
+
+def _paper_sizes(encoder: PaperEncoder) -> dict:
+    tokens, width, fused = encoder.networks.fusion.weight.shape
+    return {
+        "features": fused // width,
+        "tokens": tokens,
+        "width": width,
+        "depth": len(encoder.networks.enhance),
+        "dropout": encoder.networks.dropout.p,
+    }
+
+
+def _nothing(part) -> dict:
+    return {}
+
+
+def _key():
+    return jax.random.key(0)
+
+
+INPUT_MAPS = {
+    "square": Part(SquareInput, _nothing, SquareInput),
+    "linear": Part(LinearInput, _nothing, LinearInput),
+}
+ENCODERS = {
+    "constant": Part(ConstantEncoder, lambda e: {"outputs": e.outputs}, ConstantEncoder),
+    "compact": Part(
+        CompactEncoder,
+        _compact_sizes,
+        lambda offset, frugal=0, remainder=0, **k: CompactEncoder(
+            **k, offset=bool(offset), frugal=bool(frugal), remainder=bool(remainder), key=_key()
+        ),
+    ),
+    "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
+    # its module is not rebuilt from the file, which could then choose the code that runs; the caller supplies it
+    "own": Part(OwnEncoder, lambda e: {"module": type(e.module).__name__}, OwnEncoder),
+}
+
+
+def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
+    """Return the inner encoder's name and sizes with those of the adaptation, in one flat dict."""
+    inner = _named(ENCODERS, encoder.inner)
+    return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
+
+
+def _adapted(lags: int, of: str, **sizes) -> AdaptedEncoder:
+    inner = ENCODERS[of].build(**sizes)
+    return AdaptedEncoder(inner, jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), np.zeros(3))
+
+
+ENCODERS["adapted"] = Part(AdaptedEncoder, _adapted_sizes, _adapted)
+MEMORIES = {
+    "none": Part(NoMemory, _nothing, NoMemory),
+    "elapsed": Part(ElapsedTime, lambda m: {"horizon": float(m.horizon)}, ElapsedTime),
+    "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
+    "ringing": Part(
+        RingingMemory,
+        lambda m: {"lags": m.size - 2},
+        lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
+    ),
+}
+DRIVES = {
+    "direct": Part(DirectDrive, _nothing, DirectDrive),
+    "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
+}
+EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in (*CATALOGUE, TERM)}
+# forms that no command created; files that hold one are refused by this name
+REMOVED = frozenset({
+    "stiffening: power", "end_stop: both sides", "end_stop: above, damped", "end_stop: both sides, damped",
+    "creep: three branches", "creep: loss of stiffness", "relaxation: three branches",
+    "relaxation: loss of stiffness", "hysteresis: Bouc-Wen", "hysteresis: Wen", "stiffness_drift: steady",
+    "second_mode: attached", "second_mode: come loose", "drag: power", "slack: free fall, hanging",
+    "slack: free fall, soft", "electrode_rc: ladder", "slew_limit: rate limit and lag", "voltage_clip: rounded",
+    "stretch_coupling: quadratic", "dielectric_saturation: tanh", "sensor_nonlinearity: quadratic",
+    "sensor_nonlinearity: cubic", "sensor_lag: two lags", "found_term: sum of functions",
+})  # fmt: skip
+
+
+def describe(fitted: Fitted) -> dict:
+    """Convert a model without its arrays, and its origin, to plain values."""
+    model, origin = fitted.model, fitted.origin
+    return {
+        "order": model.order,
+        "hold": model.hold,
+        "substeps": int(model.substeps),
+        "input_map": _named(INPUT_MAPS, model.input_map),
+        "encoder": _named(ENCODERS, model.encoder),
+        "memory": _named(MEMORIES, model.memory),
+        "drive": _named(DRIVES, model.drive),
+        "effects": [_effect(e) for e in model.effects],
+        "output": _numbers(model.output),
+        "scales": _numbers(model.scales),
+        "domain": _numbers(model.domain),
+        "origin": {
+            **{name: value for name, value in vars(origin).items() if name != "long_record"},
+            "covariance": origin.covariance.tolist(),
+            **{name: float(getattr(origin, name)) for name in ("misfit", "noise", "level")},
+            "out_of_fold": origin.out_of_fold and vars(origin.out_of_fold),
+        },
+        "long_record": _packed(origin.long_record),
+    }
+
+
+def _effect(effect) -> dict:
+    key = effect.spec.key if isinstance(effect, Effect) else type(effect).__name__
+    if key not in EFFECTS:
+        raise BadInput(f"cannot save the model: {key} is not an effect of the catalogue")
+    return {"name": key, **EFFECTS[key].describe(effect)}
+
+
+def _numbers(part: Output | Scales | Domain) -> dict:
+    """Convert the fields of a part to numbers, in the order of the class, so that files keep their bytes."""
+    return {field.name: np.asarray(getattr(part, field.name)).tolist() for field in fields(part)}
+
+
+def _packed(long: LongRecord | None) -> dict | None:
+    if long is None:
+        return None
+    # bytes as text, because JSON numbers of the long record would be most of the file
+    series = {name: getattr(long, name).astype("<f4").tobytes() for name in ("voltage", "displacement")}
+    texts = {name: base64.b64encode(data).decode("ascii") for name, data in series.items()}
+    return {"dt": long.dt, "step": long.step, "rest": long.rest, **texts}
+
+
+def unpacked(stored: dict | None) -> LongRecord | None:
+    """Restore the long record from a header, where its series are little-endian float32 in base 64."""
+    if stored is None:
+        return None
+    data = (base64.b64decode(stored[k], validate=True) for k in ("voltage", "displacement"))
+    series = (np.frombuffer(values, "<f4") for values in data)
+    return LongRecord(float(stored["dt"]), int(stored["step"]), bool(stored["rest"]), *series)
+
+
+def _named(registry: dict[str, Part], part) -> dict:
+    for name, kind in registry.items():
+        if type(part) is kind.cls:  # a user's subclass would be read back as its parent
+            return {"name": name, **kind.describe(part)}
+    known = ", ".join(registry) or "none yet"
+    raise BadInput(
+        f"cannot save the model: a {type(part).__name__} cannot be stored in a model file (known parts: {known})"
+    )
+
+
+def _part(registry: dict[str, Part], described: dict, **given: Any):
+    settings = dict(described)
+    name = settings.pop("name")
+    if name in REMOVED:
+        raise BadInput(f"holds the effect {name!r}, which is no longer part of pitp_jax; diagnose the recordings again")
+    if name not in registry:
+        raise BadInput(f"holds an unknown part {str(name)[:40]!r}; update pitp_jax")
+    for key, value in settings.items():
+        # the only setting that is a word: an adapted encoder contains a plain one
+        if key == "of" and value in ("constant", "compact", "paper", "own"):
+            continue
+        # True is an int in Python and would be a size of 1
+        if (
+            isinstance(value, bool)
+            or not isinstance(value, (int, float))
+            or (isinstance(value, int) and not 0 <= value <= LARGEST)
+        ):
+            raise ValueError(f"{name}: {key} = {str(value)[:40]}")
+    return registry[name].build(**settings, **given)
+
+
+def _bands(stored: dict | None) -> OutOfFold | None:
+    if stored is None:
+        return None
+    edges, error, output = (tuple(map(float, stored[name])) for name in ("edges_hz", "error", "output"))
+    return OutOfFold(edges, error, output)
+
+
+def origin_of(header: dict) -> Origin:
+    """Restore the origin from a header, with control characters removed from its texts."""
+    stored = _without_control(header["origin"])
+    return Origin(
+        displacement_unit=str(stored["displacement_unit"]),
+        voltage_unit=str(stored["voltage_unit"]),
+        covariance=np.asarray(stored["covariance"], float).reshape(2 * (len(stored["covariance"]),)),
+        stderr=tuple(map(float, stored["stderr"])),
+        misfit=float(stored["misfit"]),
+        noise=float(stored["noise"]),
+        level=float(stored["level"]),
+        out_of_fold=_bands(stored["out_of_fold"]),
+        remarks=tuple(map(str, stored["remarks"])),
+        identified_on=tuple(map(str, stored["identified_on"])),
+        excited_input=_table(stored, "excited_input"),
+        excited_output=_table(stored, "excited_output"),
+        errors=_table(stored, "errors"),
+        long_record=unpacked(header["long_record"]),
+        training=None if stored["training"] is None else dict(stored["training"]),
+        adapted=tuple(map(dict, stored["adapted"])),
+        lineage=tuple(map(dict, stored["lineage"])),
+    )
+
+
+def _table(stored: dict, name: str) -> Table:
+    """Restore a table with a row of three numbers for every frequency; empty for files without one."""
+    return tuple((float(hz), float(amplitude), float(value)) for hz, amplitude, value in stored.get(name, ()))
+
+
+def _without_control(value: Any) -> Any:
+    """Remove control characters from every text in a value, including the keys of dicts."""
+    if isinstance(value, dict):
+        return {cleaned(key): _without_control(entry) for key, entry in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_without_control(entry) for entry in value]
+    return cleaned(value) if isinstance(value, str) else value
+
+
+def _encoder(described: dict, own: Any) -> Any:
+    """Build an encoder from its description; `own`: the user's module, if the model has one."""
+    settings = dict(described)
+    module = settings.pop("module", None)
+    if module is not None and own is None:
+        name = cleaned(module)[:40]
+        raise BadInput(f"holds an encoder of your own ({name}): give pitp.load(FILE, encoder={name}(...)) in Python")
+    if module is None and own is not None:
+        raise BadInput("holds no encoder of your own; load it without `encoder`")
+    return _part(ENCODERS, settings, **({} if own is None else {"module": own}))
+
+
+def build(header: dict, own: Any = None) -> Model:
+    """Build the model of a header with placeholder arrays; `own`: the user's module in its encoder."""
+    scales = header["scales"]
+    if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
+        raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
+    model = Model(
+        coefficients=jnp.zeros((len(scales["state"]),)),
+        input_map=_part(INPUT_MAPS, header["input_map"]),
+        encoder=_encoder(header["encoder"], own),
+        memory=_part(MEMORIES, header["memory"]),
+        output=Output(**header["output"]),
+        scales=Scales(**scales),
+        hold=header["hold"],
+        substeps=int(header["substeps"]),
+        domain=Domain(**header["domain"]),
+        drive=_part(DRIVES, header["drive"]),
+        effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
+    )
+    # run once, as shapes, because mismatched parts would otherwise fail only in the first rollout
+    tokens, _ = model.tokens(jnp.zeros((model.order + model.memory.size,)))
+    if tokens.shape != (model.order + 1,) or model.order != header["order"]:
+        raise ValueError(f"{tokens.shape[0]} tokens for order {header['order']}")
+    return model
+
+
+def encode(value: Any) -> Any:
+    """Convert a value for JSON: a float that is not finite becomes {"float": "inf"}, a tuple becomes a list."""
+    if isinstance(value, dict):
+        return {k: encode(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [encode(v) for v in value]
+    return {"float": str(value)} if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def decode(value: Any) -> Any:
+    """Convert values back that `encode` converted; tuples stay lists."""
+    if isinstance(value, dict):
+        if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
+            return float(value["float"])
+        return {k: decode(v) for k, v in value.items()}
+    return [decode(v) for v in value] if isinstance(value, list) else value

@@ -1,0 +1,75 @@
+"""Refuse impossible values of a recording, and ask the user about improbable ones.
+
+100 kV, 1 km and more                        refused: a unit is wrong
+range of x > 1 m, 90 % of x equal            reported
+|u| <= 10 V on a squared input               reported: a monitor's voltage, not the actuator's
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...common.errors import BadInput
+from ...common.units import base_unit
+from ...method.signal.record import Record
+
+_HIGHEST = {"V": 1e5, "m": 1e3}
+_LONG, _EQUAL = 1.0, 0.9  # m; fraction of the samples
+_MONITOR = 10.0  # V: the range of a DAQ
+
+
+def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, source: str, columns, place) -> None:
+    """Refuse inputs and outputs too large for any rig: 100 kV, 1 km.
+
+    Args:
+        voltage: in its base unit, shape (T,).
+        displacement: in its base unit, shape (T,); nan where missing.
+        units: base units of both; only volts and metres have a limit.
+        source: file, for the message.
+        columns: headers of input and output.
+        place: turns a sample index into words.
+
+    Raises:
+        BadInput: with the columns concerned.
+    """
+    problems = []
+    for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):
+        most = _HIGHEST.get(base, np.inf)
+        far = np.abs(np.nan_to_num(values)) > most
+        if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are sensor faults, and masked
+            at = int(np.argmax(far))
+            problems.append(
+                f"column {column!r}, {place(at)}: {values[at]:.4g} {base} is more than {most:g} {base}; give the right "
+                f"--{stem}-unit or --{stem}-scale"
+            )
+    if problems:
+        raise BadInput(f"{source}: {'; '.join(problems)}")
+
+
+def questions(displacement: np.ndarray, unit: str) -> list[str]:
+    """Return questions to the user about an output that is improbable but possible.
+
+    Args:
+        displacement: in m or V, shape (T,); nan where missing.
+        unit: `m` or `V`.
+    """
+    seen = displacement[np.isfinite(displacement)]
+    lines = []
+    if unit == "m" and np.ptp(seen) > _LONG:
+        lines.append(f"moves by {np.ptp(seen):.3g} m; check the unit of the output")
+    # the median equals the most common value, if one exists
+    equal = float(np.mean(seen == np.median(seen)))
+    if equal > _EQUAL:
+        lines.append(f"{100 * equal:.0f} % of its outputs are equal; check that the sensor works")
+    return lines
+
+
+def monitor_warning(records: Sequence[Record]) -> str | None:
+    """Return a question if the input, whose square drives the motion, stays within a monitor's 10 V; otherwise None."""
+    highest = max(float(np.abs(record.voltage).max()) for record in records)
+    if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
+        return None
+    return (
+        f"the input never exceeds {highest:.3g} V; if it is the amplifier's monitor (1 V per kV), give --input-scale "
+        "1000"
+    )

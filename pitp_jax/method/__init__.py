@@ -1,0 +1,1 @@
+"""The method: from recordings in memory to models, voltages and diagnoses."""

@@ -1,0 +1,229 @@
+"""Fit simulations of a model to recordings, for many sets of its changed parameters at once.
+
+    e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
+
+One batch holds every record under z and under z with each parameter changed a little: rows of one scan, which share the
+encoder's weights. A record that starts settled starts from the equilibrium of its own factors; one that starts in
+motion has its initial state among the parameters.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...common.errors import BadInput
+from ..fit.factors import Factors, moved
+from ..fit.minimise import Normal, minimise
+from ..model.model import Model
+from ..model.programs import jit
+from ..signal.initial_state import Beginning, aligned
+from ..signal.record import Record
+from ..simulate import ports
+from ..simulate.batched_rollout import in_rows, rows_rollout
+from ..simulate.beginnings import held_states
+from ..simulate.decoder import at_rest, rollout
+from ..simulate.prediction import FAR
+
+# of forward differences: logarithms; times, and first states in scales: float32 rounds a run at 1e-6 of its range
+_STEP, _LATER = 3e-3, 0.02
+_MOST_STEPS, _ENOUGH = 10, 1e-3  # of a fit, and the relative decrease below which it ends
+_RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias at which a fit may start
+_BLOCKS = 8
+_LOOSE = 0.3  # prior of a first state's shift, in scales of the state
+_INDEPENDENT = 100.0  # values a recording counts as, relative to the priors
+_ZERO = 0.2  # prior of an offset that the first samples do not show, in ranges
+
+
+class Session(NamedTuple):
+    """Recordings prepared for the fit, padded to one length.
+
+    Attributes:
+        voltage: V, shape (records, T).
+        target: scaled displacement, offset and direction removed; 0 where it does not count.
+        weight: 100 / (scaled range) where a sample counts, otherwise 0.
+        half: 1 in every other eighth of every record, so both halves contain all speeds and amplitudes.
+        start: scaled initial states.
+        begins: how each record starts.
+        loose: standard deviation of each offset, in % of range.
+        noise: white sensor noise of each, in % of range.
+        dt: s.
+    """
+
+    voltage: np.ndarray
+    target: np.ndarray
+    weight: np.ndarray
+    half: np.ndarray
+    start: np.ndarray
+    begins: tuple[str, ...]
+    loose: np.ndarray
+    noise: np.ndarray
+    dt: float
+
+
+def session(
+    model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning], noise
+) -> Session:
+    """Prepare recordings for the fit; `noise`: standard deviation of each sensor's noise (m)."""
+    size = -(-max(r.samples for r in records) // 1024) * 1024  # few lengths, few programs to compile
+    voltage, target, weight, half = (np.zeros((len(records), size)) for _ in range(4))
+    loose, floor = np.zeros(len(records)), np.zeros(len(records))
+    for k, (r, b) in enumerate(zip(records, begun, strict=True)):
+        x = model.output.to_model(aligned(r, b, model.output).displacement) / model.scales.state[0]
+        seen = np.isfinite(x)
+        seen[: spent[k]] = False
+        span = np.ptp(x[np.isfinite(x)])
+        voltage[k] = np.pad(r.voltage, (0, size - r.samples), mode="edge")
+        target[k, : r.samples], weight[k, : r.samples] = np.where(seen, x, 0.0), 100 / span * seen
+        half[k, : r.samples] = np.arange(r.samples) * _BLOCKS // r.samples % 2 == 0
+        units = 100 / (span * float(model.scales.state[0]))
+        loose[k] = min(b.stderr * units, 100 * _ZERO) if b.begins == "rest" else 100 * _ZERO
+        floor[k] = noise[k] * units
+    begins = tuple(b.begins for b in begun)
+    return Session(voltage, target, weight, half, np.asarray(starts), begins, loose, floor, records[0].dt)
+
+
+@jit
+def runs(
+    model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
+    voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
+) -> Float[Array, "rows time"]:  # fmt: skip
+    """Simulate every row of `voltage` with its own changed parameters; return scaled readings.
+
+    `held`: 1 for rows that start in equilibrium at u(0).
+    """
+    if held is not None:
+
+        def settled(z, u):
+            return held_states(moved(model, factors, z, dt), u[None], dt, jnp.zeros(1, z.dtype))[0]
+
+        # a softer actuator is held further out: from the old equilibrium its run would start with a transient
+        equilibrium = jax.vmap(settled)(z, voltage[:, 0])
+        start = jnp.where((held > 0)[:, None] & jnp.isfinite(equilibrium), equilibrium, start)
+    if not in_rows(model):
+
+        def one(z, s, u):
+            here = moved(model, factors, z, dt)
+            return ports.readings(here, rollout(here, u, dt, s))
+
+        return jax.vmap(one)(z, start, voltage)
+    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(
+        z, voltage, at_rest(model, start)
+    )
+    return rows_rollout(moved(model, factors, z.T, dt), film, dt, start)[..., 0]
+
+
+class Fit(NamedTuple):
+    """The result of a least-squares fit.
+
+    Attributes:
+        z: the fitted parameters.
+        residual: e in % of range, shape (records, T), zero where it does not count.
+        jacobian: derivatives by the parameters, with the nuisance parameters projected out, shape (records T, numbers).
+    """
+
+    z: np.ndarray
+    residual: np.ndarray
+    jacobian: np.ndarray
+
+
+class Problem:
+    """A least-squares fit of simulations to recordings, over some of a model's changed parameters."""
+
+    def __init__(self, model: Model, factors: Factors, seen: Session, level: float):
+        self.model, self.factors, self.seen, self.level = model, factors, seen, level
+        self.moving = [k for k, b in enumerate(seen.begins) if b == "moving"]
+        self.shifts = seen.start.shape[1] if self.moving else 0
+
+    def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
+        """Simulate rows of (parameters z, shift of initial states); return scaled readings, (rows, records, T)."""
+        s, records, wanted = self.seen, len(self.seen.voltage), len(z)
+        rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always as many: one program for every fit
+        z, shift = (np.concatenate([a, np.repeat(a[:1], rows - wanted, 0)]) for a in (z, shift))
+        start = np.tile(s.start, (rows, 1)).reshape(rows, records, -1)
+        start[:, self.moving] += shift.reshape(rows, len(self.moving), -1) if self.moving else 0.0
+        held = np.tile([b == "held" for b in s.begins], rows) if "held" in s.begins else None
+        dtype = self.model.coefficients.dtype
+        y = runs(
+            self.model, self.factors, jnp.asarray(np.repeat(z, records, 0), dtype),
+            jnp.asarray(start.reshape(rows * records, -1), dtype), jnp.asarray(np.tile(s.voltage, (rows, 1)), dtype),
+            None if held is None else jnp.asarray(held, dtype), s.dt,
+        )  # fmt: skip
+        return np.asarray(y, np.float64).reshape(rows, records, -1)[:wanted]
+
+    def at(self, z: np.ndarray, weight: np.ndarray) -> Fit:
+        """Fit only offsets and initial states, with the parameters z fixed."""
+        return self.fit(np.zeros((len(z), 0)), weight, np.zeros(0), fixed=z)
+
+    def guess(self) -> np.ndarray:
+        """Return the initial guess of the fit: the best of several inertias, each with its best gain.
+
+        A resonance shifted by more than its width reverses the phase, and the cost has no descending path past that.
+        """
+        s, names = self.seen, self.factors.names
+        axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
+        rows, guesses = 1 + len(names), []
+        tried = np.concatenate([[0.0], np.delete(_RESONANCES, len(_RESONANCES) // 2)])
+        for first in range(0, len(tried), rows):
+            z = tried[first : first + rows, None] * axis
+            y = self.readings(z, np.tile(np.zeros(len(self.moving) * self.shifts), (len(z), 1)))
+            # a diverged run gets a large error, so that it is never chosen
+            for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
+                want = s.weight * s.target
+                ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
+                guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
+        return min(guesses, key=lambda g: g[0])[1]
+
+    def fit(
+        self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
+        first: np.ndarray | None = None, fixed: np.ndarray | float = 0.0,
+    ) -> Fit:  # fmt: skip
+        """Fit the parameters z = fixed + free q by least squares, together with offsets and initial states.
+
+        Args:
+            free: directions that may change, shape (numbers, q).
+            weight: of the samples, shape (records, T): 0 or 1.
+            prior: standard deviations of q.
+            first: q to start from; default 0.
+            fixed: where q is 0.
+        """
+        s, count, records = self.seen, free.shape[1], len(self.seen.voltage)
+        shifts = len(self.moving) * self.shifts
+        scale, target = (s.weight * weight).reshape(-1), s.target.reshape(-1)
+        # residuals are far from independent: a recording counts as 100 values of the model's own level
+        unit = np.sqrt(_INDEPENDENT / max((scale > 0).sum(), 1)) / self.level
+        spread = np.concatenate([prior, np.full(shifts, _LOOSE), np.maximum(s.loose, 1e-6)])
+        owner = np.repeat(np.arange(records), s.voltage.shape[1])
+        zeros = ((owner[:, None] == np.arange(records)) & (scale > 0)[:, None]).astype(float)
+        times = np.array([free[self.factors.tokens :, k].any() for k in range(count)], bool)
+        size = np.concatenate([np.where(times, _LATER, _STEP), np.full(shifts, _LATER)])
+        low, tried = self.factors.lowest(), []
+
+        def normal(p) -> Normal:
+            base, shift = np.maximum(fixed + free @ p[:count], low), p[count : count + shifts]
+            nudges = np.eye(count + shifts) * size
+            z = np.concatenate([base[None], base + nudges[:, :count] @ free.T])
+            y = self.readings(z, np.concatenate([shift[None], shift + nudges[:, count:]])).reshape(len(z), -1)
+            if not np.isfinite(y).all() or np.abs(y).max() > FAR:
+                return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
+            e = scale * (y[0] - target) + zeros @ p[count + shifts :]
+            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)  # an offset adds itself, exactly
+            cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
+            tried.append((cost, base, e, jacobian))
+            gradient = unit**2 * jacobian.T @ e + p / spread**2
+            return Normal(float(cost), gradient, unit**2 * jacobian.T @ jacobian + np.diag(spread**-2.0))
+
+        start = np.concatenate([np.zeros(count) if first is None else first, np.zeros(shifts + records)])
+        upper = np.full(len(start), np.inf)
+        upper[:count][~times] = np.log(10.0)  # also marks the logarithms, whose steps `minimise` keeps short
+        minimise(normal, start, upper, _MOST_STEPS, _ENOUGH)
+        if not tried:
+            raise BadInput("the model diverges on this recording; check units and columns with `pitp predict`")
+        _, z, e, jacobian = min(tried, key=lambda t: t[0])
+        inner, other = jacobian[:, :count], jacobian[:, count:]
+        # a part that offsets and first states could explain carries no information on the parameters
+        taken = np.linalg.lstsq(other.T @ other, other.T @ inner, rcond=1e-9)[0]
+        return Fit(z, e.reshape(records, -1), inner - other @ taken)

@@ -1,0 +1,307 @@
+"""Prepare recordings for a diagnosis: thinned, in the model's scaled units, with folds for cross-validation.
+
+    a_0 X + a_1 X' + a_2 X'' = F,   y = lag or filter of X        (orders three and four: the slower two poles, then a
+                                                                   lag or a filter of the output for the others)
+
+Every k-th sample is kept. Input (as a force) and motion are averaged over the k samples around it with the same
+weights, so a linear plant's response to the averaged input is its averaged response. k leaves the fastest relevant mode
+or input some 50 samples a period; below 10 the simulator's own error would be reported as effects. Offset and direction
+of each record are removed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...common.errors import BadInput
+from ..model.model import Model
+from ..signal.initial_state import aligned, noise_std
+from ..signal.preprocess import force_band
+from ..signal.record import Record
+from ..signal.reduced import centred_means, fastest_hz, samples_before
+from ..signal.sets import session_clock
+from ..simulate.prediction import at_rate, begin, predict, reaches
+from .library import CORE, INDEX, rates_of, slots_of
+from .simulator import Drive, Film, Simulator, root
+
+PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or input; fewer if all together exceed:
+THINNED_SAMPLES = 12_000
+_ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
+STEPS = 24  # steps a period of the nominal's own mode, at least
+_FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
+FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
+_MOST_FOLDS = 6
+_AROUND = 1e-3  # of the force's energy: outside of the band that was excited
+
+
+@dataclass(frozen=True)
+class Series:
+    """A thinned record in the model's scaled units.
+
+    Attributes:
+        record: as given.
+        output: scaled X as measured, nan where missing, shape (T,).
+        counts: True for samples that count, shape (T,).
+        span: peak to peak of the measurement, scaled.
+        begins: rest, held or moving; the initial state of the last two is estimated.
+        noise: scaled standard deviation of the sensor's noise (fifth differences), of one thinned sample.
+        zero, direction: measured = direction * (scale X) + zero.
+    """
+
+    record: Record
+    output: np.ndarray
+    counts: np.ndarray
+    span: float
+    begins: str
+    noise: float
+    zero: float
+    direction: float
+
+
+@dataclass(frozen=True)
+class Case:
+    """A nominal model with thinned records, their simulator, and the folds for cross-validation.
+
+    Attributes:
+        model: the nominal.
+        series: thinned, in the order given.
+        simulator: of all of them.
+        nominal: slots of the nominal, shape (slots,).
+        starts: (x, v) at the first samples, shape (records, 2).
+        thinned: samples of a record per thinned sample.
+        folds: records left out together; with fewer than four records (or one that shows the gap), blocks of records,
+            so that there are at least four.
+    """
+
+    model: Model
+    series: tuple[Series, ...]
+    simulator: Simulator
+    nominal: np.ndarray
+    starts: np.ndarray
+    thinned: int
+    folds: tuple[tuple[int, ...], ...]
+
+    @property
+    def dt(self) -> float:
+        """Return the time between thinned samples, s."""
+        return self.simulator.drives[0].dt
+
+    @property
+    def blocks(self) -> int:
+        """Return the number of blocks that each record is cut into for cross-validation; 1: it is left out whole."""
+        return sum(0 in fold for fold in self.folds)
+
+    def masks(self, fold: int | None) -> list[np.ndarray]:
+        """Return weights 0 or 1 of the samples that a fit without this fold uses; None: all valid samples."""
+        rows = [s.counts.astype(float) for s in self.series]
+        if fold is not None:
+            for k in self.folds[fold]:
+                rows[k][self._left_out(fold, k, len(rows[k]) // 100)] = 0.0
+        return rows
+
+    def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:
+        """Return the slice of a record's samples that a fold leaves out."""
+        size, block = len(self.series[record].output), fold % self.blocks
+        first, last = block * size // self.blocks, (block + 1) * size // self.blocks
+        return slice(max(first - margin, 0), last + margin)
+
+    @property
+    def recordings(self) -> dict[str, list[int]]:
+        """Return the indices of the pieces of each recording, by the recording's name."""
+        places: dict[str, list[int]] = {}
+        for k, s in enumerate(self.series):
+            places.setdefault(s.record.name, []).append(k)
+        return places
+
+    def alone(self, places: Sequence[int]) -> "Case":
+        """Return the case with only the records of these indices."""
+        series = tuple(self.series[k] for k in places)
+        simulator = replace(self.simulator, drives=tuple(self.simulator.drives[k] for k in places))
+        return replace(self, series=series, simulator=simulator, starts=self.starts[[*places]], folds=_folds(series))
+
+    def in_parts(self) -> "Case":
+        """Return the case with folds that leave out a quarter of every record, as of a single one."""
+        return replace(self, folds=(tuple(range(len(self.series))),) * FEWEST_FOLDS)
+
+    def screened(self) -> list[np.ndarray]:
+        """Return weights 0 or 1 of the samples for the first steps of a fit: `_ENOUGH` of the largest motions."""
+        rows = [s.counts.astype(float) for s in self.series]
+        kept = 0
+        for k in np.argsort([-s.span for s in self.series], kind="stable"):
+            if kept >= _ENOUGH:
+                rows[k] = np.zeros_like(rows[k])
+            kept += int(rows[k].sum())
+        return rows
+
+    def tested(self, fold: int) -> list[np.ndarray]:
+        """Return, for every record, the mask of the samples on which a fold is scored."""
+        rows = [np.zeros(len(s.output), bool) for s in self.series]
+        for k in self.folds[fold]:
+            place = self._left_out(fold, k)
+            rows[k][place] = self.series[k].counts[place]
+        return rows
+
+
+def build_case(
+    model: Model, records: Sequence[Record], devices: Sequence = (), whole: Sequence[Record] | None = None
+) -> Case:
+    """Build the case: thin the records, remove their offsets and directions, and estimate their initial states.
+
+    Args:
+        model: the nominal.
+        records: recordings, or named pieces of them.
+        devices: for the runs; empty: the default device.
+        whole: the recordings from which pieces were cut.
+
+    Raises:
+        BadInput: a nominal that diverges on a record.
+    """
+    model = at_rate(model, records[0].dt)
+    # a single record has no earlier one
+    known = len(records) > 1 and session_clock(whole or records)
+    _, _, begun = begin(model, records, known)
+    for r, p in zip(records, predict(model, records), strict=True):
+        if p.diverged and model.physical_coefficients[0] > 0:
+            raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
+    # the part of the model that no slot can hold (a trained encoder) is subtracted from the measurement below
+    nominal, foreign = slots_of(model)
+    turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
+    k = thinning(model, nominal, turned)
+    scale, square = float(model.scales.state[0]), model.input_map.name == "square"
+    drives, series, starts = [], [], []
+    far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains
+    for r, b, reached in zip(turned, begun, far, strict=True):
+        rest, held = b.begins == "rest", model.hold == "zoh"
+        first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
+        film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
+        force = ramped(r.voltage, held) if square else r.voltage
+        x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
+        if film is not None:
+            force = film.force(np.arange(len(x)) * r.dt * k)
+        volts = root(force) if square else force
+        seen = np.asarray(np.isfinite(x))
+        age = model.domain.age(r.time[0]) if known else 0.0
+        # of the first thinned sample, which may precede the record
+        age = max(age + first_node, 0.0)
+        # a mean of several samples, because a single one has the full noise
+        first = x[seen][: max(1, min(5, len(x) // 100))].mean()
+        starts.append((0.0, 0.0) if rest else (first, 0.0))
+        jump = -r.dt / 2 if held else 0.0
+        drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
+        noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
+        series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
+    substeps = steps_a_sample(nominal, records[0].dt * k)
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, tuple(devices))
+    case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
+    return _beside(case, records) if foreign else case
+
+
+def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
+    """Integrate the drive term (V^2 or V) over time, exactly for a voltage constant or linear between samples."""
+    a, b = voltage[:-1], voltage[1:]
+    force = voltage * np.abs(voltage) if square else voltage
+    ramp = np.sign(a + b) * (a * a + a * b + b * b) / 3 if square else (a + b) / 2
+    impulse = np.append(0.0, np.cumsum(force[:-1] if held else ramp) * dt)
+    late = dt / 2 if held else 0.0  # a held input's half sample is part of the nominal's delay
+    return Film(impulse, dt, -first - late, k * dt, (0.0 if rest else float(force[0]), float(force[-1])))
+
+
+def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
+    """Return V|V| such that straight lines between samples have the same area as the square of a linear V.
+
+    A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
+    It is subtracted from the larger end. Otherwise a step within a record would come a sixth of a sample early.
+    """
+    force = voltage * np.abs(voltage)
+    if held:
+        return force
+    # the larger end, because the smaller may be zero, and a negative force would be a pull
+    rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])
+    size = np.abs(force)
+    size[1:] -= rise * larger
+    size[:-1] -= rise * ~larger
+    return np.sign(force) * np.maximum(size, 0.0)
+
+
+def _omega(slots: np.ndarray) -> float:
+    """Return the natural frequency of an oscillating linear core, rad/s; 0 if it does not oscillate."""
+    a0, a1, a2 = (slots[INDEX[k]] for k in CORE)
+    return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
+
+
+def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
+    """Return the number of simulation steps per thinned sample of `dt` (s)."""
+    return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
+
+
+def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
+    """Return how many samples to average into one: `PERIOD` per period of the fastest mode or input remain."""
+    dt = records[0].dt
+    forces = [model.input_map.force(r.voltage) for r in records]
+    fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
+    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / most
+    k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
+    return max(int(k), 1)
+
+
+def _parts(records: int) -> int:
+    """Return the number of parts that each of so many records is cut into, so that there are enough folds."""
+    return -(-FEWEST_FOLDS // records)
+
+
+def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
+    """Return, for each fold, the indices of the records left out: at most six groups, or parts of few records.
+
+    With at least four recordings all pieces of one are left out together; with fewer every piece counts as a record.
+    """
+    if len(series) < FEWEST_FOLDS:
+        return tuple((k,) for k in range(len(series)) for _ in range(_parts(len(series))))
+    whole: dict[str, list[int]] = {}
+    for k, s in enumerate(series):
+        whole.setdefault(s.record.name, []).append(k)
+    units = list(whole.values()) if len(whole) >= FEWEST_FOLDS else [[k] for k in range(len(series))]
+    # every group then has small and large motions
+    order = np.argsort([max(series[k].span for k in unit) for unit in units], kind="stable")
+    groups = min(len(units), _MOST_FOLDS)
+    return tuple(tuple(k for n in order[g::groups] for k in units[n]) for g in range(groups))
+
+
+def _beside(case: Case, records) -> Case:
+    """Subtract from the measurement the model's parts that the search cannot represent, such as an encoder.
+
+    Their difference from the linear model is subtracted from the measurement, so that the slots describe the change
+    alone.
+    """
+    scale, model = float(case.model.scales.state[0]), case.model
+    runs = case.simulator.run(np.tile(case.nominal, (len(records), 1)), range(len(records)), case.starts)
+    series = []
+    for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
+        own = p.direction * (p.displacement - p.zero) / scale
+        own = centred_means(own, case.thinned, s.begins == "rest")
+        series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
+    return replace(case, series=tuple(series))
+
+
+def excited_hz(case: Case) -> tuple[float, float]:
+    """Return the band (Hz) with 99.9 % of the drive term's energy, and equal remainders on both sides."""
+    forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
+    ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
+    return ends[0], ends[1]
+
+
+def excitations(case: Case) -> int:
+    """Count the distinct excitations: sixths of records whose inputs differ by 15 % in spread or frequency."""
+    rows = []
+    for d in case.simulator.drives:
+        for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump
+            w = part * part if case.simulator.square else part
+            spread, speed = np.std(w), np.std(np.diff(w)) / d.dt
+            rows.append((spread, speed / (spread + 1e-300)))
+    rows = np.array(rows)
+    top, seen = rows[:, 0].max(), []
+    for spread, speed in rows[rows[:, 0] > 0.05 * top]:
+        near = (abs(spread - a) < 0.15 * top and abs(speed - b) < 0.15 * max(speed, b) for a, b in seen)
+        if not any(near):
+            seen.append((spread, speed))
+    return len(seen)

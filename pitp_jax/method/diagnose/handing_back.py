@@ -1,0 +1,108 @@
+"""Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
+
+The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
+nominal model's, and it stays bounded from rest under the largest voltage of the records.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ..model.model import Model
+from ..signal.record import Record
+from ..simulate.prediction import predict
+from ..simulate.voltage_only import rollout
+from . import rules
+from .evidence import probability
+from .library import CORE, FREE, SHIFT, model_of
+from .search import PARAMETERS, Hypothesis, Search
+from .verdict import Decision
+
+_DOUBLED = 4  # times at most that the steps a sample of a returned model are doubled
+
+
+def hand_back(
+    search: Search, decision: Decision, model: Model, records, before: float
+) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
+    """Return the best hypothesis that beats the nominal out of fold (P >= HANDED) and in the package's simulation.
+
+    Args:
+        search, decision, model, records: of the diagnosis.
+        before: the nominal's error in these free runs, `package_error`.
+
+    Returns:
+        hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
+    """
+    error, alone = _error, decision.alone
+    # a set that is not judged may predict better than the judged one
+    deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
+    tried = [decision.chosen]
+    if decision.verdict in ("partly", "unknown"):
+        chosen, said = decision.chosen.evidence.bare, set(decision.said)
+        sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]
+        tried = [*sure[:3], *tried]
+    if decision.verdict != "no_gap":  # without a gap an effect would fit noise
+        tried += [h for h in search.level(1)[:2] if h not in tried]
+    tried += [search.base, search.linear]
+    for h in tried:
+        if not h.fit.free or SHIFT.name in h.names or not surely_improves(h, search.given):
+            continue
+        # parameters shared by machines that differ predict none of them
+        if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
+            continue
+        # in the package's own parts
+        made, added = model_of(search.case.nominal, h.fit.slots, model, search.scale)
+        made = replace(made, domain=made.domain.driven_by(records))
+        made, after = stable(made, records, before)
+        if after < before and is_bounded(made, records):
+            parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
+            parts += ["term"] if FREE in h.names else []
+            parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
+            return h, (made, added), tuple(dict.fromkeys(parts))
+    return search.given, (model, []), ()
+
+
+def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:
+    """Return whether the 95 % interval of what a hypothesis closes of the given model's error excludes zero."""
+    return probability(h.evidence.bare, given.evidence.bare) >= rules.HANDED
+
+
+def _error(h: Hypothesis) -> float:
+    return h.evidence.bare.rms
+
+
+def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
+    """Double the model's integration steps per sample until its error is below `most` or no longer falls.
+
+    If its error is at least `most`, its steps are doubled until the error no longer falls.
+    """
+    error = package_error(made, records)
+    for _ in range(_DOUBLED):
+        if error < most:
+            break
+        finer = replace(made, substeps=2 * made.substeps)
+        before, error = error, package_error(finer, records)
+        if np.isfinite(before) and error > (1 - rules.GAIN) * before:
+            return made, before
+        made = finer
+    return made, error
+
+
+def is_bounded(made: Model, records: Sequence[Record]) -> bool:
+    """Return whether the model stays bounded from rest under every input, scaled up to the largest voltage."""
+    top = max(float(np.abs(r.voltage).max()) for r in records)
+    played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
+    return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
+
+
+def package_error(model: Model, records: Sequence[Record]) -> float:
+    """Return the geometric mean over records of the free-run error, offset removed; infinite if a run diverges."""
+    total = []
+    for p, r in zip(predict(model, records), records, strict=True):
+        seen = p.scored & np.isfinite(r.displacement)
+        e = (p.displacement - r.displacement)[seen]
+        if p.diverged or not np.isfinite(e).all():
+            return np.inf
+        total.append(np.log(np.std(e) + 1e-300))
+    return float(np.exp(np.mean(total)))

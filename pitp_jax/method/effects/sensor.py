@@ -1,0 +1,99 @@
+"""Effects of the sensor: from the displacement x to the sensor's reading y (port OUT).
+
+sensor_gain           y = (1 + d) x                    sensor_nonlinearity   y = x + c2 x^2 + c3 x^3,  tanh(c x) / c
+sensor_lag            tau y' = x - y, once or twice;   tau^2 y'' + 2 zeta tau y' + y = x
+backlash              y follows x as soon as it is width / 2 away, or coasts until x catches it: y'' = -rate y'
+second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omega z'
+"""
+
+import jax.numpy as jnp
+
+from ..model.drive import slope
+from .drive import last_lag
+from .inertia import MODE
+from .kernels import coasting, lag, lead, oscillator, play
+from .spec import EffectSpec, Parameter
+
+_TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
+_TAU = Parameter("tau", "s", off=0.0, linear=False)
+_WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
+_SECOND = Parameter("c2", "1/x", length=-1, positive=False, off=0.0)
+_THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
+
+
+def _second_order(p, y, dt):
+    # the equation itself, solved for x
+    first = slope(y, dt)
+    return y + 2 * p.zeta * p.tau * first + p.tau**2 * slope(first, dt)
+
+
+def _across(p, y, dt):
+    """Compute x = y + w/2 sgn(y') from the reading: the play is crossed at every reversal of a smooth motion."""
+    # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample
+    least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
+    return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
+
+
+SENSOR = (
+    EffectSpec(
+        "sensor_gain", "share", (Parameter("d", positive=False, off=0.0),), "The sensor's scale factor is off.",
+        "y = (1 + d) x", "sensor", "OUT", moves="gain", twin="parameter_change",
+        law=lambda p, x, z: (1 + p.d) * x,
+    ),
+    # the curves rise over the range of the records, so within these bounds they can be inverted
+    EffectSpec(
+        "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
+        "The sensor is nonlinear, differently on either side.",
+        "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
+    ),
+    EffectSpec(
+        "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
+        "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        costly=True,
+        law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
+        # beyond its range the sensor cannot show the wanted reading: the last possible position
+        inverse=lambda p, y, dt: jnp.where(
+            p.c > 0, jnp.arctanh(jnp.clip(p.c * y, -0.999, 0.999)) / jnp.maximum(p.c, 1e-6), y
+        ),
+    ),
+    # without a unique inverse: of two displacements with the same reading, the one that is not folded
+    EffectSpec(
+        "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
+        "The sensor does not show the direction: beyond a position its reading decreases again.",
+        "y = fold + |x - fold|", "sensor", "OUT",
+        law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
+    ),
+    EffectSpec(
+        "backlash", "play", (_WIDTH,),
+        "There is play between what moves and what is measured.", "x - width/2 <= y <= x + width/2, y moved by x alone",
+        "dissipation", "OUT", kernel=play(0.5), inverse=_across,
+        law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
+    ),
+    EffectSpec(
+        "backlash", "coasting", (_WIDTH, Parameter("rate", "1/s")),
+        "There is play between what moves and a load that coasts until it is caught.",
+        "y'' = -rate y' within x - width/2 < y < x + width/2, y' = x' at either end", "dissipation", "OUT",
+        # without a closed inverse: the load moves freely, and shooting on the rollout corrects for half the width
+        kernel=coasting(), inverse=lambda p, y, dt: y,
+        law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
+    ),
+    EffectSpec(
+        "sensor_lag", "one lag", (_TAU,), "The sensor responds with a lag.", "tau y' = x - y", "sensor", "OUT",
+        kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
+    ),
+    EffectSpec(
+        "sensor_lag", "second order", (_TAU, Parameter("zeta")),
+        "The sensor is a low-pass filter, or has a soft mount.",
+        "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
+        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
+        # at tau = 0 the oscillator is at its bound, and would replace x
+        law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
+    ),
+    EffectSpec(
+        "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
+        "A mass on a spring is between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
+        "inertia", "OUT", kernel=oscillator(),
+        # from gain 1 on the reading has a zero in the right half plane, and shooting on the rollout takes over
+        law=lambda p, x, z: x + p.gain * (z[0] - x), solvable=lambda p: p.gain < 0.95,
+    ),
+)  # fmt: skip

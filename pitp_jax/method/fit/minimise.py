@@ -1,0 +1,223 @@
+"""Minimise a sum of squares C(p) = |r(p)|^2 by damped Gauss-Newton steps, with two ways to choose the damping.
+
+    (H + lambda D) d = -g,    p_i + d_i <= upper_i          H = J'J,  g = J'r,  D = diag H
+
+`steps`        r and J come together: lambda follows how well the quadratic model predicted C (Nielsen, 1999)
+`accelerated`  J costs at least ten times as much as r: the best lambda at every J, and a curved step
+
+    (H + lambda D) a = -J'r_vv,   r_vv = (r(p + h d) - 2 r(p) + r(p - h d)) / h^2,   p <- p + d + a / 2
+
+Transtrum and Sethna (2012): a narrow valley is curved, and a straight step leaves it at once
+(docs/decisions/free_runs.md). Priors are rows of r. H squares the condition number of J. Float64, the scaling by D and
+the damping leave enough digits for tens to hundreds of parameters, with millions of residuals that need not be stored
+at once.
+
+Optimistix is not used: it has no bounds, needs J itself (1e6 rows instead of sums of P^2 numbers), and compiles its
+loop, while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits small, already compiled
+problems (`method.identify.frequency_fit`).
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cache
+from itertools import islice
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+Blocks = Sequence[Float[np.ndarray | Array, "..."]]  # residuals, or their slopes with the parameters last
+
+_MAX_STEPS = 60
+_TOLERANCE = 1e-11  # relative decrease of the cost still expected; in 1e5 samples 0.001 of a standard error
+_SLOW, _PATIENCE = 1e-6, 4  # as many steps in a row that each lower the cost by less: a flat valley
+_LONGEST = 2.0  # largest change of a logarithm in one step: a factor e^2, beyond which the quadratic is unreliable
+_FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-3, 4.0, 1e12
+_LOST_DIGITS = 1e-15  # of the largest eigenvalue: a direction below it is rounding
+_PROBE = 0.3  # h: large enough to see the curvature above float32 rounding, small enough to stay on the same parabola
+_BENT = 0.75  # |a| over |d| (in D), beyond which the quadratic is unreliable
+
+
+class Normal(NamedTuple):
+    """The sum of squares C, half its gradient g, and the matrix H = J'J, at some parameters."""
+
+    cost: float
+    gradient: np.ndarray
+    hessian: np.ndarray
+
+    @classmethod
+    def of(cls, cost, gradient, hessian) -> "Normal":
+        """Build a `Normal` in float64 from arrays of any kind."""
+        return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
+
+
+class Damped:
+    """The damped matrix H + lambda D, factored once for every damping lambda."""
+
+    def __init__(self, hessian: np.ndarray):
+        # the tiny number prevents a division by zero for a parameter that no residual depends on
+        self.root = np.sqrt(np.diag(hessian) + 1e-300)
+        values, self._vectors = np.linalg.eigh(hessian / np.outer(self.root, self.root))
+        self._values = np.maximum(values, 0)  # rounding makes the smallest of a singular H negative
+
+    def step(self, side: np.ndarray, damping: float) -> np.ndarray:
+        """Solve (H + lambda D) d = -side for the optimiser step d, with lambda = `damping`."""
+        values = self._values + damping
+        # with small lambda, parameters that the data do not separate make it singular: then the smallest step
+        along = np.where(values > _LOST_DIGITS * values.max(), self._vectors.T @ (side / self.root) / values, 0.0)
+        return -(self._vectors @ along) / self.root
+
+
+def minimise(
+    normal: Callable[[np.ndarray], Normal],
+    params: np.ndarray,
+    upper: np.ndarray,
+    most: int = _MAX_STEPS,
+    least: float = 0.0,
+) -> tuple[np.ndarray, bool]:
+    """Find the parameters of least cost, none above `upper`; return them, and whether the tolerance was met.
+
+    It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
+    with a finite `upper` count as logarithms, whose long steps are shortened.
+    """
+    slow, before, best, converged = 0, np.inf, params, False
+    for best, here, met in islice(steps(normal, params, upper), most):
+        slow = slow + 1 if before - here.cost < _SLOW * before else 0
+        last = before - here.cost < least * before
+        before, converged = here.cost, met or last
+        if slow == _PATIENCE or last:
+            return best, True
+    return best, converged
+
+
+def steps(
+    normal: Callable[[np.ndarray], Normal], params: np.ndarray, upper: np.ndarray
+) -> Iterator[tuple[np.ndarray, Normal, bool]]:
+    """Yield (parameters, `Normal`, whether the tolerance is met), at the start and after every accepted step.
+
+    It ends when it is met, if the start is not finite, or if no step lowers the cost (met, if little could be gained).
+    """
+    params = np.minimum(params, upper)
+    here, damping, growth = normal(params), _FIRST_DAMPING, 2.0
+    yield params, here, False
+    while np.isfinite(here.cost) and np.isfinite(here.hessian).all():
+        step = _within(here, damping, upper - params)
+        # shortened as a whole, so that the direction remains one of descent
+        step *= min(1.0, _LONGEST / max(float(np.abs(step[np.isfinite(upper)]).max(initial=0.0)), 1e-300))
+        # the decrease of C predicted by its quadratic, without the damping, which is not part of C
+        expected = float(-step @ (2 * here.gradient + here.hessian @ step))
+        # with strong damping every step is short, which alone is not convergence
+        if expected <= _TOLERANCE * here.cost and damping < 1.0:
+            yield params, here, True
+            return
+        there = normal(params + step)
+        ratio = (here.cost - there.cost) / expected if expected > 0 and np.isfinite(there.cost) else -1.0
+        if ratio > 0:  # any decrease is accepted; the damping follows the quadratic's accuracy (Nielsen's rule)
+            params, here, growth = params + step, there, 2.0
+            damping *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
+            yield params, here, False
+        else:
+            damping, growth = damping * growth, 2 * growth
+            if damping > _LARGEST_DAMPING:  # no decrease possible: the remaining prediction is rounding
+                yield params, here, expected <= _SLOW * here.cost
+                return
+
+
+def _within(here: Normal, damping: float, room: np.ndarray) -> np.ndarray:
+    """Return the damped step in which no parameter increases by more than its `room`; the others compensate."""
+    # at its bound already, while the cost decreases beyond it
+    step, fixed = np.zeros(len(room)), (room <= 0) & (here.gradient < 0)
+    while not fixed.all():
+        free = ~fixed
+        slope = here.gradient[free] + here.hessian[np.ix_(free, fixed)] @ step[fixed]  # the bounded ones have moved
+        step[free] = Damped(here.hessian[np.ix_(free, free)]).step(slope, damping)
+        over = free & (step > room)
+        if not over.any():
+            break
+        step[over], fixed = room[over], fixed | over
+    return step
+
+
+class _Trial(NamedTuple):
+    cost: float
+    params: np.ndarray
+    errors: Blocks
+
+
+def accelerated(
+    errors: Callable[[np.ndarray], Blocks], slopes: Callable[[np.ndarray], Blocks], params: np.ndarray
+) -> Iterator[tuple[np.ndarray, float, bool]]:
+    """Yield (parameters, sum of squares, whether no step lowers it), at the start and after every accepted step.
+
+    Args:
+        errors: blocks of residuals r at given parameters.
+        slopes: of the same blocks dr/dp, with one axis more, the last.
+        params: initial values.
+    """
+    here, damping = errors(params), _FIRST_DAMPING
+    cost = _cost(here)
+    yield params, cost, False
+    while np.isfinite(cost):
+        best, damping = _search(_trials(errors, slopes(params), params, here), damping, cost)
+        if best.cost >= cost:
+            yield params, cost, True
+            return
+        cost, params, here = best
+        yield params, cost, False
+
+
+def _search(trial: Callable[[float], _Trial], damping: float, cost: float) -> tuple[_Trial, float]:
+    """Search for the damping of lowest cost on a geometric grid, starting at the last damping."""
+    trial = cache(trial)  # the search back meets the same grid points again
+    best = trial(damping)
+    for factor in (1 / _DAMPING_FACTOR, _DAMPING_FACTOR):
+        after = trial(damping * factor)
+        # less damping is tried only while it helps; more also until a step lowers the cost, as a short step must
+        while after.cost < best.cost or (best.cost >= cost and factor > 1 and damping < _LARGEST_DAMPING):
+            best, damping = after, damping * factor
+            after = trial(damping * factor)
+    return best, damping
+
+
+def _trials(errors, jacobian: Blocks, params, here: Blocks) -> Callable[[float], _Trial]:
+    """Return a function that computes the optimiser step from `params`, and its cost, for a damping."""
+    hessian = np.sum([_gram(j) for j in jacobian], axis=0)
+    if not np.isfinite(hessian).all():  # an unstable run overflowed, so no step from here is reliable
+        return lambda damping: _Trial(np.inf, params, here)
+    matrix, gradient = Damped(hessian), _pull(jacobian, here)
+
+    def trial(damping: float) -> _Trial:
+        step = matrix.step(gradient, damping)
+        ahead, behind = errors(params + _PROBE * step), errors(params - _PROBE * step)
+        bend = [(a - 2 * r + b) / _PROBE**2 for a, r, b in zip(ahead, here, behind, strict=True)]
+        if all(np.isfinite(b).all() for b in bend):  # otherwise a probe diverged, and the straight step is used alone
+            turn = matrix.step(_pull(jacobian, bend), damping)
+            if np.linalg.norm(matrix.root * turn) <= _BENT * np.linalg.norm(matrix.root * step):
+                step = step + turn / 2
+        there = errors(params + step)
+        cost = _cost(there)
+        # nan compares false with everything; an infinite cost loses every comparison
+        return _Trial(cost if np.isfinite(cost) else np.inf, params + step, there)
+
+    return trial
+
+
+def _cost(blocks: Blocks) -> float:
+    # in float64, because the last steps differ by less than float32 can add over 1e5 samples
+    return float(sum(np.sum(np.square(b, dtype=np.float64)) for b in blocks))
+
+
+def _pull(jacobian: Blocks, blocks: Blocks) -> np.ndarray:
+    """Compute the gradient J'r, summed over blocks of residuals."""
+    products = [_xp(j).tensordot(b, j, np.ndim(b)) for j, b in zip(jacobian, blocks, strict=True)]
+    return np.sum([np.asarray(p, np.float64) for p in products], axis=0)
+
+
+def _gram(slopes) -> np.ndarray:
+    rows = slopes.reshape(-1, slopes.shape[-1])
+    return np.asarray(_xp(slopes).tensordot(rows, rows, (0, 0)), np.float64)
+
+
+def _xp(array):
+    """Return the module of an array (numpy or jax.numpy), so that it stays on its device in its precision."""
+    return np if isinstance(array, np.ndarray) else jnp

@@ -1,0 +1,262 @@
+"""Estimate initial state, sensor offset and sensor direction of every record by maximum likelihood.
+
+    y = d (g x(t) + free(t)) + z,    free: 0 at rest | F(0) unit step's release when held | any x(0), x'(0) in motion
+
+Poles and gain come first from a fit without any assumption: every record has its own offset, direction and initial
+state, which all enter linearly. Then the criterion of `numerics.coloured_noise` selects the simplest initial state of
+each record. A record at rest takes its offset from its first samples, which contain no model error. Other records share
+an offset or have their own, by the same criterion.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from ..model.input_map import INPUT_MAPS
+from ..numerics.coloured_noise import block_means, project, whitener
+from ..signal.excitation_kind import spread_over_kinds
+from ..signal.initial_state import Beginning, Begins, from_known, level_groups, noise_std, rest_level
+from ..signal.preprocess import force_band
+from ..signal.record import Record
+from ..signal.reduced import averaged, block_size
+from ..signal.start import Response, estimate_start, first_part
+from .frequency_fit import linear_start
+from .frequency_response import frequency_response
+from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
+from .linear_ode import poles as modes
+from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
+from .starts import cost_of, guesses
+
+_PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
+_MOST = 100_000  # samples used to find the poles
+_STARTS = 3  # initial guesses, each with the sensor directions it implies, that are fitted
+_STRUCTURE, _ROUNDS = Structure(2), 4
+_CLEAN = 1.2  # times the noise: largest residual of a model without error
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
+def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beginning], np.ndarray | None, float]:
+    """Return initial states, the poles of order 2 (rad/s) and the residual as a fraction of the output's deviation.
+
+    The roots are None and the fraction 1 if no such model could be fitted.
+    """
+    begun = [from_known(r) for r in records]
+    chosen, small = _decimated(begun, input_map)
+    first = _first_poles(small)
+    if first is None:
+        return [_at_rest(r) for r in begun], None, 1.0
+    cost, poles = first
+    clean = _only_noise(cost, small)
+    decided: list[Beginning] = []
+    known = [r is b for r, b in zip(records, begun, strict=True)]
+    for _ in range(_ROUNDS):
+        rows = [_columns(r, input_map, *poles) for r in begun]
+        zeros = _resting(begun, decided)
+        starts = [start_beside(r, input_map, *poles, z) for r, z in zip(begun, zeros, strict=True)]
+        # a record whose first samples are missing is moving
+        starts = [s if whole else replace(s, begins="moving") for s, whole in zip(starts, known, strict=True)]
+        kinds: list[tuple[Begins, float]] = [(s.begins, s.direction) for s in starts]
+        before, decided = decided, _with_zeros(begun, rows, kinds, clean)
+        if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in decided]:
+            break
+        some = build_problem([begun[k] for k in chosen], input_map, [decided[k] for k in chosen])
+        better = _fitted(poles[0], some)
+        if better is None:
+            break
+        cost, poles = better
+    return decided, np.roots(polynomial(poles[0])[::-1]), float(np.sqrt(cost))
+
+
+def _only_noise(cost: float, records: Sequence[Record]) -> bool:
+    """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
+    size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
+    return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
+
+
+def _at_rest(record: Record) -> Beginning:
+    return Beginning("rest", 1.0, *rest_level(record))
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Whitened block means of one record: output, simulated response, effect of a settled start, fitted columns."""
+
+    output: np.ndarray
+    driven: np.ndarray
+    held: np.ndarray
+    free: np.ndarray
+    one: np.ndarray
+
+    def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
+        """Return the whitened residual for an initial state and a sensor direction, and the fitted sensor offset."""
+        base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
+        columns = [self.one, self.free] if begins == "moving" else [self.one]
+        factors, rest = project(base, np.column_stack(columns))
+        return rest, float(factors[0])
+
+    def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
+        """Return the fitted sensor offset (output unit), its weight (1 / variance), and the number of block means."""
+        residual, zero = self.residual(begins, direction)
+        alone = project(self.one, self.free)[1] if begins == "moving" else self.one
+        return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
+
+
+def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
+    """Select records of every kind; return indices, and these records averaged over a tenth of the fastest period."""
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    dt, shortest = records[0].dt, min(r.samples for r in records)
+    size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
+    chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
+    return list(chosen), [averaged(records[k], forces[k], size) for k in chosen]
+
+
+def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
+    """Fit a model of order 2 with free initial states; return mean square residual and model, None if all fail."""
+    unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
+    problem = build_problem(small, "linear", unknown)
+    by_response = _from_response(problem)
+    # The response alone once gave wrong poles (order 3 with a delay), and moving records were then taken as at rest.
+    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
+    starts += [] if by_response is None else [by_response]
+    scored = []
+    for start in starts:
+        logs = no_faster(start, FASTEST / problem.fine)
+        same = _directed(logs, problem)
+        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
+    fits = []
+    for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
+        fit = _fitted(logs, same)
+        fits += [] if fit is None else [fit]
+    return min(fits, key=lambda f: f[0]) if fits else None
+
+
+def _from_response(problem: Problem) -> np.ndarray | None:
+    """Return initial poles from the record with the most coherent frequency response; None if none has enough lines.
+
+    Only one record is used because the sensor directions of the others are not known yet.
+    """
+    each = [frequency_response(alone(problem, k)) for k in range(len(problem.drive))]
+    best = max(each, key=lambda response: int(response.coherent.sum()))
+    return linear_start(best, problem.dt, _STRUCTURE.order) if best.rich else None
+
+
+def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
+    """Fit a second-order model; return mean square residual, log pole coefficients (rad/s), gain (m per V^2 or V)."""
+    logs, cost, _ = least_squares(start, _STRUCTURE, problem)
+    gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
+    return (cost, (logs, gain)) if np.isfinite(cost) else None
+
+
+def _directed(logs: np.ndarray, problem: Problem) -> Problem:
+    """Reverse the sensor of those normalised records whose gain has another sign than most."""
+    gains: list[float] = []
+    if len(problem.drive) == 1:
+        return problem
+    for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
+        unit = driven(logs, _STRUCTURE, problem, k)
+        free, _ = own_columns(logs, _STRUCTURE, problem, k)
+        columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), free])
+        gains.append(project(weight * output, columns)[0][0] * np.std(unit))
+    most = 1.0 if np.sum(gains) >= 0 else -1.0
+    directions = [1.0 if most * g >= 0 else -1.0 for g in gains]
+    return replace(
+        problem,
+        output=tuple(d * o for d, o in zip(directions, problem.output, strict=True)),
+        beginnings=tuple(replace(b, direction=d) for b, d in zip(problem.beginnings, directions, strict=True)),
+    )
+
+
+def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
+    """Return block means of one record, whitened with the residual spectrum of the free initial state."""
+    square, dt = input_map == "square", record.dt
+    unit, settled = (
+        respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
+    )
+    held, (free, _) = settled - unit, coast(logs, record.samples, step=dt)
+    period = 2 * np.pi / np.exp(logs[1] / 2)
+    size = int(np.clip(period / _PER_PERIOD / dt, 1, record.samples // 64))
+    y = np.where(record.observed, record.displacement, 0.0)
+    stacked = np.column_stack([y, gain * unit, gain * held, free, np.ones(len(y))])
+    means, share = block_means(stacked, record.observed.astype(float), size)
+    means = means * np.sqrt(share)[:, None]
+    y, driven, one = means[:, 0], means[:, 1], means[:, -1:]
+    columns = np.column_stack([one, means[:, 3:-1]])
+    residuals = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
+    white = whitener(min(residuals, key=lambda e: float(e @ e)))(means)
+    return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1])
+
+
+def start_beside(
+    record: Record, input_map: str, logs: np.ndarray, gain: float, zeros: Sequence[float] = ()
+) -> Beginning:
+    """Estimate how a record starts beside a linear model of order 2; `zeros`: sensor offsets of other records."""
+    omega = float(np.exp(logs[1] / 2))
+    part = first_part(record, omega)
+    rest, held = (
+        gain * respond(logs, part.voltage, step=part.dt, square=input_map == "square", hold="foh", settled=settled)
+        for settled in (False, True)
+    )
+    return estimate_start(part, Response(rest, held, modes(logs), omega, zeros))
+
+
+def _resting(records: Sequence[Record], decided: Sequence[Beginning]) -> list[list[float]]:
+    """Return, for every record, the sensor offsets of the others that start at rest."""
+    resting = [k for k, b in enumerate(decided) if b.begins == "rest"]
+    groups = [({resting[m] for m in members}, zero) for members, zero, _ in level_groups([records[k] for k in resting])]
+    return [[zero for members, zero in groups if members != {k}] for k in range(len(records))]
+
+
+def _with_zeros(
+    records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
+) -> list[Beginning]:
+    """Return initial states with sensor offsets: measured in the first samples at rest (pooled), otherwise fitted."""
+    decided: dict[int, Beginning] = {}
+    resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
+    groups = level_groups([records[k] for k in resting])
+    fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
+    for group, (members, zero, stderr) in enumerate(groups):
+        free = clean or _sharper([fitted[resting[m]] for m in members], zero, stderr)
+        decided |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
+    own = {k: zero for k, zero in fitted.items() if k not in decided}
+    if groups:
+        (first, *_), zero, stderr = groups[0]
+        free = decided[resting[first]].free
+        near = [k for k, (there, w, size) in own.items() if _agree(zero - there, w / (1 + w * stderr**2), size)]
+        decided |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
+        own = {k: v for k, v in own.items() if k not in near}
+    pool, mean = dict(own), 0.0
+    while pool:
+        mean = sum(z * w for z, w, _ in pool.values()) / sum(w for _, w, _ in pool.values())
+        worst = max(pool, key=lambda k: pool[k][1] * (pool[k][0] - mean) ** 2)
+        if _agree(pool[worst][0] - mean, *pool[worst][1:]):
+            break
+        pool.pop(worst)
+    group = len(groups)
+    together = sum(w for _, w, _ in pool.values())
+    decided |= {k: Beginning(*kinds[k], mean, _stderr(together), group, True) for k in pool}
+    apart = [k for k in own if k not in pool]
+    decided |= {
+        k: Beginning(*kinds[k], own[k][0], _stderr(own[k][1]), group + 1 + j, True) for j, k in enumerate(apart)
+    }
+    return [decided[k] for k in range(len(records))]
+
+
+def _stderr(weight: float) -> float:
+    return float(1 / np.sqrt(max(weight, 1e-300)))
+
+
+def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
+    """Return whether whole records determine a sensor offset more precisely than their first samples, without bias.
+
+    The fitted offset has the smaller standard error, and both agree within five combined standard errors.
+    """
+    weight = sum(w for _, w, _ in fitted)
+    mean = sum(z * w for z, w, _ in fitted) / weight
+    return bool(weight * stderr**2 > 1 and (mean - level) ** 2 < 25 * (1 / weight + stderr**2))
+
+
+def _agree(difference: float, weight: float, size: int) -> bool:
+    """Return whether two sensor offsets are equal within their errors: T log(1 + w dz^2 / T) <= log T (BIC)."""
+    return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))

@@ -1,0 +1,112 @@
+"""Judge whether a linear model explains the output at all, and report the likely reason if not.
+
+feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squares on the last samples of both
+folded:    1 - R^2 of y against |G u| and (G u)^2                       G: lags of order 1 and modes of a grid
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from ..signal.initial_state import noise_std
+from .heldout import Candidate
+from .linear_ode import respond
+from .output_error import Problem
+
+NOTHING, LITTLE = 0.9, 0.5  # fraction of the output's rms, held out: residual of a model that explains nothing, little
+_OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: held-out residual; noise above which it hardly moves
+CHECK = "Check --input-column and --output-column, and whether another input moves the output"
+_LAGS, _FED_BACK, _PREDICTED = 8, 0.1, 1e-3  # samples; variances of an input that follows from the output
+_GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the modes behind a folded output
+
+
+def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
+    """Return whether the model explains the output, and a warning if it explains little or hardly more than noise."""
+    least = min(c.heldout.score for c in candidates)
+    left = f"{100 * chosen.heldout.score:.0f} % of the output's rms remains unexplained on held-out blocks"
+    if chosen.heldout.score > _OUT_OF_NOISE and _noise_part(problem) > _NOISE:
+        if _fed_back(problem):
+            return False, (
+                f"The model explains only the sensor's noise, which a controller feeds back into the input ({left}). "
+                "Such recordings determine no model; add a test signal to the reference"
+            )
+        return least < NOTHING, (
+            f"{left}, and most of the output is sensor noise. Such recordings determine no model; record with a "
+            "larger excitation"
+        )
+    if least >= NOTHING and _folded_left(problem) < NOTHING:
+        return True, (
+            f"{left}, but |y| or y^2 is explained better than the output y: the sensor does not show the direction of "
+            "motion. Run `pitp diagnose` to confirm it"
+        )
+    if least >= NOTHING:
+        return False, f"The model explains nothing: {left}, at any order. {_reason(problem)}"
+    if chosen.heldout.score >= LITTLE:
+        return True, f"{left}: the model explains only a part. {_reason(problem)}"
+    return True, None
+
+
+def _reason(problem: Problem) -> str:
+    if _fed_back(problem):
+        return (
+            "The input follows from the output, so a controller closes the loop. Use its reference as the input, or "
+            "add a test signal to the reference"
+        )
+    return CHECK
+
+
+def _fed_back(problem: Problem) -> bool:
+    """Return whether the output predicts the input better than the earlier input does, as in a closed loop."""
+    alone = beside = 0.0
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        y = np.where(weight > 0, output, output[weight > 0].mean())
+        rows = range(_LAGS, len(drive))
+        if len(rows) < 4 * _LAGS:
+            continue
+        inputs = np.column_stack(
+            [*(drive[_LAGS - k : len(drive) - k] for k in range(1, _LAGS + 1)), np.ones(len(rows))]
+        )
+        outputs = np.column_stack([y[_LAGS - k : len(y) - k] for k in range(_LAGS + 1)])
+        for columns, both in ((inputs, False), (np.column_stack([inputs, outputs]), True)):
+            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+            rest = drive[_LAGS:] - columns @ np.linalg.lstsq(columns, drive[_LAGS:], rcond=1e-10)[0]
+            alone, beside = alone + float(rest @ rest) * (not both), beside + float(rest @ rest) * both
+    moved = sum(float(np.sum((drive - drive.mean()) ** 2)) for drive in problem.drive)
+    return beside < _FED_BACK * alone and alone > _PREDICTED * moved
+
+
+def _noise_part(problem: Problem) -> float:
+    """Return the sensor noise as a fraction of the output's standard deviation, pooled over records."""
+    noise = moved = 0.0
+    for output, weight in zip(problem.output, problem.weight, strict=True):
+        y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
+        noise, moved = noise + count * float(noise_std(y)) ** 2, moved + count * float(np.nanvar(y))
+    return float(np.sqrt(noise / max(moved, 1e-300)))
+
+
+def _folded_left(problem: Problem) -> float:
+    """Return the smallest residual of a fit of |x| and x^2 to the output, as a fraction of the output's deviation.
+
+    x: linear responses with poles of a grid. If it is small, the sensor does not show the sign of the motion.
+    """
+    best = np.inf
+    for poles in _poles(problem):
+        missed = whole = 0.0
+        for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+            run = respond(poles, drive, step=problem.dt, square=problem.square, hold="foh")
+            use = weight > 0
+            y = output[use] - output[use].mean()
+            columns = np.column_stack([np.abs(run), run**2, np.ones(len(run))])[use]
+            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
+            rest = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
+            missed, whole = missed + float(rest @ rest), whole + float(y @ y)
+        best = min(best, np.sqrt(missed / max(whole, 1e-300)))
+    return float(best)
+
+
+def _poles(problem: Problem) -> Iterator[np.ndarray]:
+    """Yield the logarithms of the pole coefficients of single lags and modes on a grid over the band of the records."""
+    for omega in np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID):
+        yield np.array([np.log(omega)])
+        for damping in _DAMPINGS:
+            yield np.array([np.log(2 * damping * omega), 2 * np.log(omega)])

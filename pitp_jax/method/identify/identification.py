@@ -1,0 +1,414 @@
+"""Identify a continuous-time ODE of order n without zeros by output error (the paper's tfest step).
+
+    F = map(u(t - delay)),    sum_{i=0}^{n} a_i x^(i) = F,    y = direction_r x + offset_r + noise
+
+    minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
+
+Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
+optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
+(`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from importlib import import_module
+from typing import Any
+
+import numpy as np
+from scipy.signal import StateSpace
+from threadpoolctl import threadpool_limits
+
+from ...common.errors import BadInput, ComputationFailed
+from ...common.shown import Shown
+from ..effects import effect
+from ..model.coverage import with_excited
+from ..model.domain import Domain
+from ..model.expected_error import error_table
+from ..model.fitted import Fitted
+from ..model.input_map import INPUT_MAPS
+from ..model.lineage import descended
+from ..model.model import Hold, Output, linear_model
+from ..model.origin import Origin, OutOfFold
+from ..model.substeps import substeps
+from ..signal.excited import Table
+from ..signal.initial_state import INITIAL_SAMPLES, Beginning, aligned, noise_std, rest_level
+from ..signal.long_record import thinned
+from ..signal.record import Record
+from ..signal.reduced import averaged, block_size
+from ..signal.sets import check_set
+from .beginnings import find_beginnings
+from .candidates import NEAR, choose, search
+from .explained import explains
+from .frequency_fit import ORDERS
+from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
+from .heldout import Candidate, out_of_fold
+from .order_fit import OrderFit, covariance, describe, zero_of
+from .output_error import Problem, build_problem, check_motion, driven, least_squares, own_columns, solve
+from .remarks import refusal, remarks, unstable_line
+from .residual_test import ResidualTest, residual_test
+
+_HOLDS: tuple[Hold, ...] = ("foh", "zoh")
+_BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choice costs little
+_BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
+_STANDS = 1e-3  # of the input's range: a smaller change at the start is none
+_SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
+_NONE = (
+    "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
+    "that the input and output columns belong together"
+)
+_HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
+
+
+@dataclass(frozen=True)
+class Identification(Shown):
+    """The identified model, the best candidate of every compared order, and the initial state of every record.
+
+    Attributes:
+        model: its `output` has the offset and direction of most records.
+        chosen, orders: the chosen order, and the best candidate of every compared order.
+        beginnings: per record its initial state, and its sensor's direction and offset with standard error.
+        response: the measured frequency response.
+        out_of_fold: errors of these records in fits without them, by band; also in the model's origin.
+        residuals: whether the residual is white and uncorrelated with the input.
+        remarks: open questions after these records, one sentence each.
+        explains: whether any order explains a tenth of the output's rms on held-out blocks.
+        warning: a sentence if the model explains little, or the input follows from the output.
+    """
+
+    model: Fitted
+    chosen: OrderFit
+    orders: tuple[OrderFit, ...]
+    beginnings: dict[str, Beginning]
+    response: FrequencyResponse
+    out_of_fold: OutOfFold
+    residuals: ResidualTest
+    remarks: tuple[str, ...] = ()
+    explains: bool = True
+    warning: str | None = None
+
+    def _rows(self) -> list[dict]:
+        return [vars(fit) for fit in self.orders]
+
+    def __repr__(self) -> str:
+        """Return two lines of text: the chosen order with its residual, and how the records start."""
+        c, kinds = self.chosen, [b.begins for b in self.beginnings.values()]
+        begin = ", ".join(f"{kinds.count(kind)} {word}" for kind, word in _BEGIN.items() if kind in kinds)
+        natural = ", ".join(f"{f:.4g}" for f in c.natural_hz)
+        return (
+            f"Identification: order {c.order} of {', '.join(str(o.order) for o in self.orders)}, natural {natural} Hz, "
+            f"{c.rms:.3g} left (rms, base unit)\n  {len(kinds)} record(s): {begin}"
+        )
+
+    @property
+    def rest(self) -> dict[str, bool]:
+        """Return for every record, by name, whether it starts at rest."""
+        return {name: b.begins == "rest" for name, b in self.beginnings.items()}
+
+    def to_scipy(self) -> StateSpace:
+        """Return the model in SciPy's state space x, x', ... x^(n-1), from input (V^2 or V) to displacement (m).
+
+            x^(n) = (F - a_0 x - ... - a_{n-1} x^(n-1)) / a_n,    y = polarity x
+
+        It excludes the delay, which has no finite number of states (`chosen.delay`), and the sensor offset.
+        """
+        c = self.chosen
+        a = np.eye(c.order, k=1)
+        a[-1] = -c.coefficients[:-1] / c.coefficients[-1]
+        b, out = np.zeros((c.order, 1)), np.zeros((1, c.order))
+        b[-1, 0], out[0, 0] = 1 / c.coefficients[-1], c.polarity
+        return StateSpace(a, b, out, np.zeros((1, 1)))
+
+    def to_control(self):
+        """Return the model as `StateSpace` of python-control, for example for `bode_plot` or `lqr`.
+
+        Raises:
+            BadInput: python-control is not installed.
+        """
+        try:
+            control = import_module("control")
+        except ImportError as error:
+            raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
+        system = self.to_scipy()
+        return control.ss(system.A, system.B, system.C, system.D)
+
+
+def trains_from_order_two(found: Identification) -> bool:
+    """Return whether a model that will be trained starts at order 2 instead of the identified order 1.
+
+    It does if order 2 predicts held-out blocks as well as order 1 and its poles are known. The encoder changes
+    coefficients, but adds none: without a mass it can only imitate one (docs/decisions/structure.md).
+    """
+    two = [o for o in found.orders if o.order == 2 and o.poles_known]
+    return found.chosen.order == 1 and any(o.heldout <= NEAR * found.chosen.heldout for o in two)
+
+
+def structure_of(model: Fitted) -> dict[str, Any]:
+    """Return the options with which `identify` gives a model of the same order and hold, with or without a delay."""
+    delayed = any(e.name == "delay" for e in model.effects)
+    return {"order": model.order, "hold": model.hold, "learn" if delayed else "leave_out": ("delay",)}
+
+
+@threadpool_limits.wrap(limits=1, user_api="blas")  # products of ten columns: threads cost five times what they save
+def identify(
+    records: Sequence[Record],
+    *,
+    order: int | str = "auto",
+    input_map: str = "square",
+    hold: Hold | None = None,
+    learn: Sequence[str] = (),
+    leave_out: Sequence[str] = (),
+    progress: Callable[[str], None] = lambda line: None,
+) -> Identification:
+    """Identify a linear ODE of the lowest sufficient order from records, by output error.
+
+    Args:
+        records: recordings of one actuator (a sweep, or any set that excites it).
+        order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
+        input_map: "square" (F = u^2) or "linear" (F = u).
+        hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
+            is better by 0.3 %.
+        learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
+            Delays below a twentieth of a sample are ignored.
+        leave_out: ("delay",) to fit none; by default a delay stays if it improves the held-out error.
+        progress: called with one line per finished order.
+
+    Returns:
+        the model (a `Fitted`), every compared order, and the initial state of every record.
+
+    Raises:
+        BadInput: unknown order or input map, no variation in voltage or displacement.
+        ComputationFailed: the requested order cannot be identified from these records.
+
+    Examples:
+        >>> found = pitp.identify(records, order=2)
+        >>> found.model.order, found.beginnings["sweep"].begins
+        (2, 'rest')
+    """
+    _check_options(order, input_map, hold, learn, leave_out)
+    check_set(records)
+    check_motion(records)
+    begun, roots, misfit = find_beginnings(records, input_map)
+    finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
+    whole = build_problem(records, input_map, begun)
+    small = _averaged(records, input_map, begun, roots, finest)
+    response = frequency_response(whole)
+    candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
+    chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
+    if not fit.poles_known:
+        why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
+        raise ComputationFailed(why)
+    begun = _coloured(records, begun, fit, chosen, whole)
+    whole = replace(whole, beginnings=tuple(begun))
+    fit = describe(chosen, whole)
+    # of each order the candidates that the records determine, then the one that predicts best
+    best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
+            for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
+    orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
+    begun = _fitted(begun, chosen, whole)
+    own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
+    errors = _errors(chosen, whole)
+    said = tuple(remarks(fit, chosen, small, every=order == "auto"))
+    explained, warning = explains(chosen, candidates, whole)
+    model = descended(_to_model(fit, records, begun, input_map, own, errors, said), "identify", records)
+    names = [r.name for r in records]
+    beginnings = dict(zip(names, begun, strict=True))
+    return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
+
+
+def _check_options(
+    order: int | str, input_map: str, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
+) -> None:
+    """Refuse options of `identify` that do not exist or that exclude each other."""
+    if input_map not in INPUT_MAPS:
+        raise BadInput(f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}")
+    if order != "auto" and order not in ORDERS:
+        raise BadInput(f"order {order!r} is not supported; use 1 to 6, or auto")
+    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
+        raise BadInput(f"unknown hold {hold!r}; use one of {', '.join(_HOLDS)}, bandlimited, or None")
+    if unknown := sorted({*learn, *leave_out} - {"delay"}):
+        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification; use delay")
+    if "delay" in learn and "delay" in leave_out:
+        raise BadInput("a delay cannot be both learned and left out; choose one")
+
+
+def _candidates(
+    small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
+    leave_out: Sequence[str], progress: Callable[[str], None],
+) -> list[Candidate]:  # fmt: skip
+    """Fit candidate models of the orders, holds of the input and delays that the options allow, in ascending order.
+
+    Raises:
+        ComputationFailed: none of them could be simulated.
+    """
+    asked = {
+        "orders": ORDERS if order == "auto" else (int(order),),
+        "holds": _HOLDS if hold is None else (hold,),
+        "delays": [False] if "delay" in leave_out else [False, True],
+    }
+    candidates = search(small, response, roots, **asked, progress=progress)
+    if not candidates:
+        raise ComputationFailed(
+            "no order could be simulated on these recordings; check the units and the sampling of the columns"
+        )
+    if order != "auto" and response.rich and not any(c.known for c in candidates):
+        # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
+        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
+    if "delay" in learn:  # prefer the delay wherever it does not vanish
+        # orders whose delay did not vanish
+        late = {c.structure.order for c in candidates if c.structure.delayed}
+        candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]
+    return candidates
+
+
+def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
+    """Return the normalised records on which candidates are compared: block means if there are many samples."""
+    whole = build_problem(records, input_map, begun)
+    fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
+    size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
+    size = min(size, int(np.ceil(whole.samples / _SAMPLES)))
+    if size < 2:
+        return whole
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
+    return replace(build_problem(small, "linear", begun), fine=whole.dt)
+
+
+def _determined(
+    candidates: Sequence[Candidate], whole: Problem, small: Problem, hold: Hold | None
+) -> tuple[Candidate, OrderFit]:
+    """Refit the best candidate whose poles the records determine on all samples; return the fit and its description.
+
+    If no candidate has known poles, the last one is returned.
+    """
+    while True:
+        chosen = choose(candidates)
+        # a delay or block means hide which hold it is
+        open_hold = chosen.structure.delayed or small.fine < small.dt
+        holds: Sequence[Hold] = _HOLDS if open_hold and not hold else (hold or chosen.structure.hold,)
+        chosen = _refined(chosen, whole, holds, bandlimited=hold is None)
+        fit = describe(chosen, whole)
+        candidates = [c for c in candidates if c.structure.order != fit.order]
+        if fit.poles_known or not candidates:
+            return chosen, fit
+
+
+def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
+    """Refit a candidate on all samples under each possible hold of the input; return the fit with the least error."""
+    ends = []
+    for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
+        structure = replace(chosen.structure, hold=hold)
+        if hold == "bandlimited" and bandlimited:  # four times as expensive: it must lead after one step
+            first = least_squares(chosen.params, structure, problem, 2)[1]
+            if first > min(worth for worth, _ in ends):
+                continue
+        params, cost, converged = least_squares(chosen.params, structure, problem)
+        worth = cost / _BANDLIMITED**2 if hold == "bandlimited" and bandlimited else cost
+        ends.append((worth, replace(chosen, structure=structure, params=params, cost=cost, converged=converged)))
+    return min(ends, key=lambda e: e[0])[1]
+
+
+def _coloured(
+    records: Sequence[Record], begun: Sequence[Beginning], fit: OrderFit, chosen: Candidate, problem: Problem
+) -> list[Beginning]:
+    """Return initial states whose offsets measured at rest have a standard error that includes slow noise.
+
+    Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
+    effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
+    """
+    apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
+    found = []
+    residuals = solve(chosen.params, chosen.structure, problem).residuals
+    for record, b, residual in zip(records, begun, residuals, strict=True):
+        slow = noise_std(residual[::apart]) > apart**0.25 * noise_std(residual)  # white: 1, a random walk: sqrt(apart)
+        if slow and b.begins == "rest" and not b.free:
+            alike = sum(other.group == b.group for other in begun)
+            error = rest_level(record, problem.scale * residual)[1] / np.sqrt(alike)
+            b = replace(b, stderr=max(b.stderr, float(error)))
+        found.append(b)
+    return found
+
+
+def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
+    """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
+    gains = solve(chosen.params, chosen.structure, problem).gains
+    polarity = float(np.sign(gains[0]) or 1.0)
+    errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1
+    if problem.free_zeros:
+        variance = np.diag(covariance(chosen.params, chosen.structure, problem))
+        errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
+    fitted = []
+    for k, b in enumerate(begun):
+        stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
+        fitted.append(
+            replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
+        )
+    return fitted
+
+
+def _errors(chosen: Candidate, problem: Problem) -> Table:
+    """Tabulate the errors on the records; a settled record has the sensor offset of its start, as in a prediction."""
+    places = range(len(problem.drive))
+    driven_runs = [driven(chosen.params, chosen.structure, problem, k) for k in places]
+    solved, runs, errors = solve(chosen.params, chosen.structure, problem, driven_runs), [], []
+    for k in places:
+        error, drive = np.where(problem.weight[k] > 0, solved.residuals[k], np.nan), problem.drive[k]
+        if problem.beginnings[k].begins == "held":
+            stands = int(np.argmax(np.abs(drive - drive[0]) > _STANDS * np.ptp(drive)))
+            first = error[: max(stands, INITIAL_SAMPLES)]
+            error = error - (first[np.isfinite(first)].mean() if np.isfinite(first).any() else 0.0)
+        own = own_columns(chosen.params, chosen.structure, problem, k)[0] @ solved.own[k]
+        runs.append(problem.scale * (solved.gains[0] * driven_runs[k] + own))
+        errors.append(problem.scale * error)
+    return error_table(runs, errors, problem.dt)
+
+
+def _to_model(
+    chosen: OrderFit,
+    records,
+    begun: Sequence[Beginning],
+    input_map: str,
+    own: OutOfFold,
+    errors: Table,
+    said: tuple[str, ...],
+) -> Fitted:
+    """Return the fitted model; the scale of state i is rms displacement times omega^i, omega = (a_0 / a_n)^(1/n)."""
+    n = chosen.order
+    a = chosen.coefficients
+    relative = chosen.stderr / a
+    output = Output(chosen.offset, chosen.polarity)
+    moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
+    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    force_scale = max(float(np.abs(f).max()) for f in forces)
+    longest = int(np.argmax([r.samples for r in records]))
+    x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))
+    omega = (a[0] / a[n]) ** (1 / n)
+    dt = records[0].dt
+    long = thinned(aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest")
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    origin = Origin(
+        displacement_unit=records[0].displacement_unit,
+        voltage_unit=records[0].voltage_unit,
+        covariance=chosen.correlation * np.outer(relative, relative),
+        stderr=tuple(chosen.stderr.tolist()),
+        misfit=max(chosen.rms / noise, 1.0) if noise else float("inf"),
+        noise=noise,
+        level=float("nan") if long is None else 100 * chosen.rms / long.range,
+        out_of_fold=own,
+        errors=errors,
+        remarks=said,
+        identified_on=tuple(r.name for r in records),
+        long_record=long,
+    )
+    model = linear_model(
+        a,
+        input_map=INPUT_MAPS[input_map](),
+        state_scale=x_rms * omega ** np.arange(n + 1),
+        force_scale=force_scale,
+        output=output,
+        hold=chosen.hold,
+        substeps=substeps(a, dt),
+        domain=Domain(dt, (np.inf, -np.inf), 0.0).driven_by(records),
+    )
+    if chosen.delay > 0:
+        model = replace(model, effects=(effect("delay", time=chosen.delay),))
+    return Fitted(model, with_excited(origin, records))

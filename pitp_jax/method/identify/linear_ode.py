@@ -1,0 +1,304 @@
+"""Simulate linear ODEs that are stable by construction, exactly for a sampled input.
+
+    P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
+    P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)
+    m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
+    f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
+
+Exact for a voltage linear (foh) or constant (zoh) between samples, squared or not, and for any delay; f_3 adds the
+difference between the square of a line and the line between squares, or half the second difference of a force that is
+cubic between samples. A mode is one first-order filter, ten times faster than the chained state space. Its derivative
+is another:
+
+    m'(t+1) = e^z m'(t) + e^z m(t) + sum_k f_k'(z) ...,    phi_k' = phi_k - k phi_{k+1}
+    (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b
+"""
+
+from math import factorial
+
+import numpy as np
+from jaxtyping import Complex, Float
+from scipy.signal import lfilter
+
+from ..numerics.intersample import between
+
+_FINER = 4
+_APART = 1e-5  # of a pole: two nearer ones are separated, which changes a response by less than 1e-9
+_TERMS = 24
+
+
+def _factors(logs: np.ndarray) -> list[np.ndarray]:
+    """Return the ascending coefficients of the quadratic factors, and of the linear factor if the order is odd."""
+    sizes = np.exp(logs)
+    pairs = [np.array([sizes[k + 1], sizes[k], 1.0]) for k in range(0, len(logs) - 1, 2)]
+    return pairs + [np.array([sizes[-1], 1.0])] * (len(logs) % 2)
+
+
+def _product(factors) -> np.ndarray:
+    product = np.ones(1)
+    for factor in factors:
+        product = np.convolve(product, factor)
+    return product
+
+
+def polynomial(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n+1"]:
+    """Return ascending coefficients c_0 ... c_{n-1}, 1 from the logarithms of the coefficients of the factors."""
+    return _product(_factors(logs))
+
+
+def polynomial_slopes(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n+1 n"]:
+    """Return the derivatives of the polynomial's coefficients by the logarithms of the factors', shape (n + 1, n)."""
+    factors, slopes = _factors(logs), np.zeros((len(logs) + 1, len(logs)))
+    for k, factor in enumerate(factors):
+        others = _product(factors[:k] + factors[k + 1 :])
+        for power in range(len(factor) - 1):  # powers ascend, but logs hold the highest power first
+            column = 2 * k + len(factor) - 2 - power
+            slopes[power : power + len(others), column] = factor[power] * others
+    return slopes
+
+
+def logs_from_roots(roots: np.ndarray) -> np.ndarray:
+    """Return the logarithms of the factors' coefficients for these roots, reflected into the stable half plane."""
+    roots = np.asarray(roots, complex)
+    size = np.maximum(np.abs(roots), 1e-4)
+    roots = np.asarray(-np.maximum(np.abs(np.real(roots)), 1e-3 * size) + 1j * np.imag(roots))
+    real_root = np.abs(np.imag(roots)) <= 1e-9 * size
+    pairs = roots[~real_root & (np.imag(roots) > 0)]
+    real = sorted(-np.real(roots[real_root]))
+    logs = [v for r in pairs for v in (np.log(-2 * r.real), np.log(abs(r) ** 2))]
+    while len(real) > 1:
+        a, b = real.pop(0), real.pop(0)
+        logs += [np.log(a + b), np.log(a * b)]
+    return np.array(logs + [np.log(r) for r in real])
+
+
+def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
+    """Return the poles in rad per unit of time; equal poles are separated slightly."""
+    roots: list[complex] = []
+    for factor in _factors(logs):
+        if len(factor) == 2:
+            roots.append(complex(-factor[0]))
+            continue
+        half = np.sqrt(complex(factor[1] ** 2 / 4 - factor[0]))  # p = -b/2 +- sqrt(b^2 / 4 - c)
+        half = half if abs(half) > _APART * factor[1] else complex(_APART * factor[1])
+        far = -factor[1] / 2 - half  # the larger one, free of cancellation
+        roots += [far, factor[0] / far if half.imag == 0 else far.conjugate()]
+    for k, pole in enumerate(roots):
+        if any(abs(pole - other) < _APART * abs(pole) for other in roots[:k]):
+            roots[k] = pole * (1 + 3 * _APART * (k + 1))
+    return np.array(roots)
+
+
+def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
+    """Slow poles beyond `fastest` down to it; return the logarithms of the polynomial factors' coefficients.
+
+    Clipping the coefficients instead would move all poles.
+    """
+    known = poles(logs)
+    size = np.abs(known)
+    return logs_from_roots(known * np.minimum(fastest / size, 1.0)) if (size > fastest).any() else logs
+
+
+def _phi(z: complex, k: int) -> complex:
+    """Compute phi_k(z), by a power series near zero, where the closed form cancels."""
+    if abs(z) < 1:
+        term = total = 1 / factorial(k) + 0j
+        for j in range(1, _TERMS):
+            term *= z / (j + k)
+            total += term
+        return total
+    closed = np.exp(z)  # phi_0; phi_{k+1} = (phi_k - 1 / k!) / z
+    for j in range(k):
+        closed = (closed - 1 / factorial(j)) / z
+    return closed
+
+
+def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
+    """Return the derivatives of the poles by the logarithms of the polynomial factors' coefficients, shape (n, n)."""
+    known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
+    for k, factor in enumerate(_factors(logs)):
+        for i in range(2 * k, 2 * k + len(factor) - 1):
+            if len(factor) == 2:
+                slopes[i, i] = known[i]
+                continue
+            slopes[i, 2 * k : 2 * k + 2] = -np.array([factor[1] * known[i], factor[0]]) / (2 * known[i] + factor[1])
+    return slopes
+
+
+def respond(
+    logs: Float[np.ndarray, " n"],
+    drive: Float[np.ndarray, " time"],
+    *,
+    step: float,
+    square: bool,
+    hold: str,
+    settled: bool = False,
+    late: float = 0.0,
+) -> Float[np.ndarray, " time"]:
+    """Simulate the response with unit static gain to the input voltage^2 (or voltage), shape (time,).
+
+    Args:
+        logs: of the pole coefficients, in rad per unit of time.
+        drive: voltage at the samples.
+        step: duration of one sample in the unit of time of the poles.
+        square: whether the force is the square of the voltage.
+        hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
+        settled: start from the equilibrium of the first sample, not from rest.
+        late: delay in samples; exact between them.
+    """
+    if hold == "bandlimited":
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        return respond(logs, _finer(drive), **how)[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, response = poles(logs) * step, np.zeros(len(drive))
+    whole, part = _split(late, len(drive))
+    for pole in z[np.imag(z) >= 0]:
+        mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
+        response[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
+    return response + level
+
+
+def respond_with_slopes(
+    logs: Float[np.ndarray, " n"],
+    drive: Float[np.ndarray, " time"],
+    *,
+    step: float,
+    square: bool,
+    hold: str,
+    settled: bool = False,
+    late: float = 0.0,
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
+    """Simulate as `respond` does; return the response, its derivatives by the logarithms, and its time derivative."""
+    if hold == "bandlimited":
+        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
+        run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
+        return run[::_FINER], slopes[:, ::_FINER], rate[::_FINER]
+    rows, level = _inputs(drive, square, hold, settled)
+    z, moves = poles(logs) * step, pole_slopes(logs) * step
+    whole, part = _split(late, len(drive))
+    runs = np.zeros((len(logs) + 2, len(drive)))
+    for i in np.flatnonzero(np.imag(z) >= 0):
+        pole, others = z[i], np.delete(z, i)
+        weights = _weights(pole)[:, : len(rows)]
+        mode = _filtered(weights[0] @ rows, pole)
+        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)  # m'(t+1) at the head of the file
+        slope = _later(slope + part * mode, pole, part, rows, whole, 1)
+        mode = _later(mode, pole, part, rows, whole)
+        relative = 1 / z  # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum
+        relative[np.arange(len(z)) != i] += 1 / (pole - others)
+        relative[i] -= (1 / (pole - others)).sum()
+        residue = _residue(pole, z)
+        of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
+        of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
+        for series, factors in ((mode, of_mode), (slope, of_slope)):
+            for number, size in zip(runs, factors, strict=True):  # a loop, because BLAS would start its threads
+                if pole.imag:
+                    number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
+                elif size:
+                    number[whole:] += size.real * series
+    if len(z) == 1:  # for order 1 the force itself acts on the rate
+        rows = np.column_stack([rows, rows[:, -1]])
+        force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
+        runs[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
+    return runs[0] + level, runs[1:-1], runs[-1]
+
+
+def bounded_response(
+    poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"], hold: str
+) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
+    """Simulate stable and unstable poles (rad a sample) without divergence; return the response and the free responses.
+
+    Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
+    back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
+    """
+    start, change = force[:-1], np.diff(force) * (hold != "zoh")
+    response, free = np.zeros(len(force)), []
+    for pole in poles[np.imag(poles) >= 0]:
+        back = pole.real > 0
+        rows = np.stack([-(start + change)[::-1], change[::-1]] if back else [start, change])
+        stable = -pole if back else pole
+        mode, decay = _filtered(_weights(stable)[0, :2] @ rows, stable), powers(stable, len(force))
+        if back:
+            mode, decay = mode[::-1], decay[::-1]
+        response += (2 if pole.imag else 1) * np.real(_residue(pole, poles) * mode)
+        free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
+    return response, np.stack(free, 1)
+
+
+def _finer(drive: np.ndarray) -> np.ndarray:
+    return between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
+
+
+def _split(late: float, samples: int) -> tuple[int, float]:
+    """Split a delay in samples into whole samples, rounded up, minus a fraction of a sample."""
+    # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
+    whole = min(int(np.ceil(late)), samples - 1)
+    return whole, max(whole - late, 0.0)
+
+
+def _residue(pole: complex, z: np.ndarray) -> complex:
+    residue = complex(np.prod(-z) / np.prod(pole - z[z != pole]))
+    return residue if pole.imag else residue.real
+
+
+def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
+    """Return the input terms that f_1, f_2, f_3 multiply, shape (1 to 3, T - 1), and the equilibrium's input level."""
+    force = drive**2 if square else drive
+    level = float(force[0]) if settled else 0.0
+    rows = [force[:-1] - level]
+    if hold != "zoh":
+        rows.append(np.diff(force))
+    if hold == "cubic":
+        # half of F'' within the sample (h = 1): the mean of the second differences at its two ends
+        bend = np.pad(np.diff(force, 2), 1, mode="edge")
+        rows.append((bend[:-1] + bend[1:]) / 4)
+    elif hold == "foh" and square:
+        rows.append(np.diff(drive) ** 2)
+    return np.stack(rows), level
+
+
+def _weights(z: complex, part: float = 1.0) -> np.ndarray:
+    """Return the weights f_1, f_2, f_3 for a fraction of a sample, and their derivatives by z, shape (2, 3)."""
+    s = part
+    one, two, three, four = (_phi(z * s, k) * s**k for k in (1, 2, 3, 4))
+    both = np.array([[one, two, 2 * three - two],
+                     [s * one - two, s * two - 2 * three, 2 * s * three - 6 * four - s * two + 2 * three]])  # fmt: skip
+    return both if z.imag else np.real(both)  # real arithmetic is three times as fast
+
+
+def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
+    """Advance a mode by a fraction of a sample and drop the last `whole` samples (`slope` 1: its derivative by z)."""
+    kept = len(mode) - whole
+    if not part:
+        return mode[:kept]
+    return _decay(part * pole) * mode[:kept] + _weights(pole, part)[slope, : len(rows)] @ rows[:, :kept]
+
+
+def _decay(z: complex) -> complex:
+    return np.exp(z) if z.imag else np.exp(z.real)
+
+
+def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
+    """Simulate a mode from 0 under the input `pushed`; the result is one sample longer."""
+    return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
+
+
+def coast(
+    logs: Float[np.ndarray, " n"], samples: int, *, step: float
+) -> tuple[Float[np.ndarray, "time n"], np.ndarray]:
+    """Return the free responses of every mode, of amplitude 1 at the start, and which of them oscillate."""
+    columns, rings = [], []
+    for pole in poles(logs) * step:
+        if pole.imag < 0:
+            continue
+        mode = powers(pole, samples)
+        columns += [np.real(mode), np.imag(mode)] if pole.imag > 0 else [np.real(mode)]
+        rings += [True, True] if pole.imag > 0 else [False]
+    return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)
+
+
+def powers(z: complex, samples: int) -> Complex[np.ndarray, " time"]:
+    """Compute e^(z t), t = 0 ... samples - 1, as e^(z B i) e^(z j): a product costs a tenth of an exponential."""
+    size = int(np.ceil(np.sqrt(samples)))
+    coarse, fine = np.exp(z * size * np.arange(size)), np.exp(z * np.arange(size))
+    return (coarse[:, None] * fine).reshape(-1)[:samples]

@@ -1,0 +1,193 @@
+"""Describe one identified order in physical units, with the covariance of its parameters.
+
+    a_i = c_i / (c_0 |g|)
+    cov p = D H^-1 (sum_b g_b g_b') H^-1 D B / (B - P) + sum_z v v' var(z),    H = J'J,    v = dp/dz = H^-1 J'w
+
+g_b: half the gradient over four of 64 blocks of samples in a row (overlapping batch means: B = 1.5 64 / 4 degrees of
+freedom; Meketon and Schmeiser, 1984). Model error and slow noise are strongly correlated, and the textbook sigma^2 H^-1
+would understate the errors by an order of magnitude; separate blocks, AR(0.98) in 62 samples, by a third. If few blocks
+determine a parameter, the sandwich is too small: D >= 1 widens it to the textbook's variance. J: initial states
+projected out. The offset of a record at rest is not fitted; v propagates its error.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...common.shown import Shown
+from ..model.model import Hold
+from .heldout import Candidate
+from .linear_ode import polynomial, polynomial_slopes
+from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
+
+_BLOCKS, _IN_A_ROW = 64, 4
+_BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
+_INTEGRATES = 0.1  # rad in the longest record
+_KNOWN = 3.0  # largest standard error of a logarithm; unmeasured poles have errors of hundreds
+
+
+@dataclass(frozen=True, repr=False)
+class OrderFit(Shown):
+    """The best fit of one order: coefficients in physical units, errors, and whether the records determine it.
+
+    Attributes:
+        order: n.
+        hold: the voltage between samples.
+        coefficients, stderr: a_0 ... a_n in V^2 s^i / m (V s^i / m for a linear input) and their standard errors,
+            robust to correlated residuals, including the error of an offset estimated at rest.
+        correlation: of those errors, shape (n + 1, n + 1).
+        mae, rms: mean absolute and root mean square error of the free run over observed samples, m (paper, III-D).
+        heldout: rms error on held-out blocks, % of the output's standard deviation there (`heldout`).
+        natural_hz, damping: of every real pole and pole pair, ascending in frequency.
+        natural_stderr: of the natural frequencies, Hz.
+        offset, polarity: sensor offset (m) and direction (+1 or -1).
+        converged: the least squares met its tolerance.
+        poles_known: converged, and the logarithm of every pole is known to +-3 (a strong nonlinearity inflates the
+            errors of a good linear fit). The pole that makes it `static`, or by which it `integrates`, may be unknown.
+            No pole lies at the upper bound.
+        identifiable: its poles are known, and every coefficient is larger than its standard error, except the one that
+            a `static` or integrating plant does not show.
+        static: order 1, with a pole too fast for the sampling rate.
+        integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
+        delay, delay_stderr: of the input in s, if one was fitted.
+    """
+
+    order: int
+    hold: Hold
+    coefficients: np.ndarray
+    stderr: np.ndarray
+    correlation: np.ndarray
+    mae: float
+    rms: float
+    heldout: float
+    natural_hz: np.ndarray
+    damping: np.ndarray
+    natural_stderr: np.ndarray
+    offset: float
+    polarity: float
+    converged: bool
+    poles_known: bool
+    identifiable: bool
+    static: bool = False
+    integrates: bool = False
+    delay: float = 0.0
+    delay_stderr: float = 0.0
+
+
+def describe(candidate: Candidate, problem: Problem) -> OrderFit:
+    """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
+    structure, params = candidate.structure, candidate.params
+    n, poles = structure.order, poles_of(params, structure)
+    solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
+    residual = np.concatenate(solved.residuals) * problem.scale
+    coefficients, jacobian = _physical(params, float(solved.gains[0]), structure, problem)
+    main = spread[: structure.order + 1, : structure.order + 1]
+    of_coefficients = jacobian @ main @ jacobian.T
+    stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
+    determined, static, slow = _determined(poles, spread, problem)
+    known = candidate.converged and determined
+    hidden = [0] * slow + [1] * static
+    upper = sorted(poles[np.imag(poles) >= 0], key=abs)
+    delay = float(np.exp(params[-1])) if structure.delayed else 0.0
+    return OrderFit(
+        order=n,
+        hold=structure.hold,
+        coefficients=coefficients,
+        stderr=stderr,
+        correlation=of_coefficients / np.maximum(np.outer(stderr, stderr), 1e-300),
+        mae=float(np.abs(residual).sum() / problem.samples),
+        rms=float(np.sqrt((residual**2).sum() / problem.samples)),
+        heldout=100 * candidate.heldout.score,
+        natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
+        damping=np.array([-r.real / abs(r) for r in upper]),
+        natural_stderr=_of_frequencies(params, main, upper, structure),
+        offset=zero_of(problem.main, solved.gains, problem),
+        polarity=float(np.sign(solved.gains[0]) or 1.0),
+        converged=candidate.converged,
+        poles_known=known,
+        identifiable=known and bool(np.delete(stderr < np.abs(coefficients), hidden).all()),
+        static=static,
+        integrates=slow,
+        delay=delay,
+        delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if structure.delayed else 0.0,
+    )
+
+
+def identifiable(params: np.ndarray, structure: Structure, problem: Problem, converged: bool) -> bool:
+    """Return whether the records determine the poles of this fit, as `OrderFit.poles_known` defines it."""
+    return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
+
+
+def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool, bool]:
+    """Return three answers: are the poles determined, is the plant static, does the plant integrate its input."""
+    known = np.sqrt(np.clip(np.diag(spread), 0, None))[: len(poles)]
+    open_ones = int((known >= _KNOWN).sum())
+    fast = bool(len(poles) == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
+    slow = bool(np.abs(poles).min() * problem.seconds < _INTEGRATES)
+    bounded = bool(np.abs(poles).max() > 0.97 * FASTEST / problem.fine)
+    static = fast and not slow
+    return bool(static or open_ones <= slow and not bounded), static, slow
+
+
+def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
+    """Return the sensor offset of a record, in the output's unit."""
+    group, b = problem.zeros[record], problem.beginnings[record]
+    return float(b.zero + (problem.scale * gains[1 + group] if group >= 0 else 0.0))
+
+
+def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coefficients of sum a_i x^(i) = F in physical units, and their derivatives by logarithms and gain."""
+    logs = params[: structure.order]
+    poly, slopes = polynomial(logs), polynomial_slopes(logs)
+    a = poly / poly[0] / (abs(gain) * problem.scale)
+    # d log a_i = d log c_i - d log c_0 - d log |g|
+    relative = np.concatenate([slopes / poly[:, None] - slopes[0] / poly[0], np.full((len(poly), 1), -1 / gain)], 1)
+    return a, a[:, None] * relative
+
+
+def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
+    """Return the standard errors of the natural frequencies |p| / 2 pi (Hz), in the order of the poles `upper`."""
+    errors = []
+    for pole in upper:
+        slope = np.zeros(structure.order + 1)
+        for j in range(structure.order):
+            moved = params.copy()
+            moved[j] += 1e-5
+            other = poles_of(moved, structure)
+            slope[j] = (np.abs(other[np.argmin(np.abs(other - pole))]) - abs(pole)) / 1e-5
+        errors.append(float(np.sqrt(max(slope @ spread @ slope, 0.0)) / (2 * np.pi)))
+    return np.array(errors)
+
+
+def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
+    """Return the covariance of (log pole coefficients, gain, fitted sensor offsets, log delay); see the file's head."""
+    n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
+    linear = 1 + problem.free_zeros
+    order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
+    size = len(order)
+    hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
+    by_zero, cost, seen = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0, 0.0
+    for k, (weight, b) in enumerate(zip(problem.weight, problem.beginnings, strict=True)):
+        jacobian = slopes[k][order, : len(weight)].T
+        residual, one = solved.residuals[k], b.direction * weight
+        own = own_columns(params, structure, problem, k)[0] * weight[:, None]
+        if own.shape[1]:
+            one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
+        hessian += jacobian.T @ jacobian
+        # dp = H^-1 J'w dz: the change caused by an error of the offset measured at rest
+        by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
+        cost += float(residual @ residual)
+        block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
+        seen += weight.sum()
+        edges = np.flatnonzero(np.diff(block, prepend=-1))  # a block may span two records: sums are added up
+        np.add.at(scores, block[edges], np.add.reduceat(jacobian * residual[:, None], edges))
+    inverted = inverse(hessian)
+    count, free = _BLOCKS - _IN_A_ROW + 1, 1.5 * _BLOCKS / _IN_A_ROW
+    moves = sum(scores[k : k + count] for k in range(_IN_A_ROW)) @ inverted
+    # H^-1 (sum g g') H^-1 B / (B - P); samples at the ends belong to fewer blocks
+    sandwich = moves.T @ moves * (_BLOCKS / count / _IN_A_ROW * free / max(free - size, 1))
+    textbook = cost / max(problem.samples - size, 1) * inverted
+    wider = np.sqrt(np.maximum(np.diag(textbook) / (np.diag(sandwich) + 1e-300), 1.0))
+    moved = [inverted @ v for v in by_zero.values()]
+    return sandwich * np.outer(wider, wider) + sum(np.outer(v, v) for v in moved)

@@ -1,0 +1,125 @@
+"""Find initial poles for the output-error fit without a frequency response: by ARX with instruments, and on a grid.
+
+    y_t + a_1 y_{t-1} + ... + a_n y_{t-n} = b_0 u_t + ... + b_n u_{t-n} + c,      theta = (Z'X)^-1 Z'y
+    Z = X at first, then X with y replaced by the model's own run (instrumental variables: no bias by noise)
+    p = log(z) / h,  z: roots of 1 + a_1 z^-1 + ...;      on means over 1, 4 and 16 samples, for slow modes
+
+Source: Young (1976), Some observations on instrumental variable methods; Ljung (1999), 7.6.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from scipy.signal import lfilter
+
+from ..signal.reduced import means
+from .linear_ode import logs_from_roots, no_faster, poles
+from .output_error import FASTEST, Problem, Structure, solve
+
+_SIZES = (1, 4, 16)
+_ROUNDS = 4
+_GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
+_APART = 0.3  # of a logarithm: nearer starts lead to the same minimum
+_DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
+
+
+def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray], most: int) -> list[np.ndarray]:
+    """Return the best few initial parameters among these sets of poles (rad/s), with several delays if fitted."""
+    scored = []
+    for some in roots:
+        if len(some) != structure.order or not np.isfinite(some).all():
+            continue
+        logs = no_faster(logs_from_roots(some), 0.99 * FASTEST / problem.fine)
+        for delay in _DELAYS if structure.delayed else (None,):
+            params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
+            scored.append((params, cost_of(params, structure, problem)))
+    chosen: list[np.ndarray] = []
+    for params, cost in sorted(scored, key=lambda s: s[1]):
+        if np.isfinite(cost) and all(np.abs(params - other).max() > _APART for other in chosen):
+            chosen.append(params)
+    return chosen[:most]
+
+
+def cost_of(params, structure: Structure, problem: Problem) -> float:
+    """Return the sum of squares of the residual; infinite if the response diverges."""
+    with np.errstate(all="ignore"):
+        rows = solve(params, structure, problem).rows
+    return float(rows @ rows) if np.isfinite(rows).all() else np.inf
+
+
+def guesses(order: int, problem: Problem) -> list[np.ndarray]:
+    """Return several initial guesses of the poles (rad/s) of a model of this order."""
+    tried = list(_arx(order, problem))
+    longest = max(len(d) for d in problem.drive)
+    grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
+    if order == 1:
+        tried += [-grid[k : k + 1] for k in range(_GRID)]
+    if order == 2:
+        tried += [w * np.array([-z + 1j * np.sqrt(1 - z * z), -z - 1j * np.sqrt(1 - z * z)])
+                  for w in np.geomspace(grid[1], grid[-1], _PAIRS) for z in _DAMPING]  # fmt: skip
+    if order >= 2:
+        tried += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
+    return tried
+
+
+def one_more(logs: np.ndarray) -> list[np.ndarray]:
+    """Return sets of poles (rad/s) of the next higher order: the known poles plus one slower or faster pole."""
+    known = poles(logs)
+    size = np.abs(known)
+    return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]
+
+
+def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
+    for size in _SIZES:
+        for late in (0, 2):
+            roots = _instrumental(order, problem, size, late)
+            if roots is not None:
+                yield roots
+
+
+def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndarray | None:
+    """Return the poles (rad/s) of an ARX model fitted with instrumental variables; None if it cannot be solved."""
+    series = []
+    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+        seen = np.flatnonzero(weight)
+        filled = np.interp(np.arange(len(output)), seen, output[seen])
+        force = drive**2 if problem.square else drive
+        force = np.append(np.full(late, force[0]), force)[: len(force)]
+        series.append((means(force, size), means(filled, size)))
+    if max(len(y) for _, y in series) < 8 * order + 16:
+        return None
+    theta, best = None, None
+    for _ in range(_ROUNDS):
+        normal, right = np.zeros((2 * order + 1,) * 2), np.zeros(2 * order + 1)
+        for force, output in series:
+            if len(output) <= 2 * order + 4:
+                continue
+            regressors, target = _regressors(force, output, order), output[order:]
+            instruments = regressors
+            if theta is not None:
+                # the model's own run is as correlated with the regressors, and free of the output's noise
+                run = np.asarray(lfilter(theta[: order + 1], np.append(1.0, theta[order + 1 :]), force - force[0]))
+                instruments = _regressors(force, run, order)
+            normal += (instruments - instruments.mean(0)).T @ (regressors - regressors.mean(0))
+            right += (instruments - instruments.mean(0)).T @ (target - target.mean())
+        if not (np.isfinite(normal).all() and np.isfinite(right).all()):
+            return best
+        theta = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
+        roots = np.roots(np.append(1.0, theta[order + 1 :]))
+        if not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any() or len(roots) != order:
+            return best
+        # reflected at the unit circle: the same size at every frequency, and stable
+        roots = np.where(np.abs(roots) >= 1, 0.999 * roots / np.abs(roots) ** 2, roots)
+        theta = np.append(theta[: order + 1], np.real(np.poly(roots))[1:])
+        slow = np.log(roots.astype(complex)) / (size * problem.dt)
+        alternating = np.abs(np.abs(slow.imag) * size * problem.dt - np.pi) < 1e-6  # no real pole makes these
+        best = np.where(alternating, -np.abs(slow), slow)
+    return best
+
+
+def _regressors(force: np.ndarray, output: np.ndarray, order: int) -> np.ndarray:
+    size = len(output)
+    return np.column_stack(
+        [force[order - i : size - i] for i in range(order + 1)]
+        + [-output[order - i : size - i] for i in range(1, order + 1)]
+    )

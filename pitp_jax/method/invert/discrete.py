@@ -1,0 +1,185 @@
+"""Invert the simulation: find the voltages that lead from each of its states to the next.
+
+With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j.
+
+    zoh:  one force a step; the row of x^(n-1) gives it at once.
+    foh:  F_j come from u_t and u_{t+1}. The row of x^(n-1) fixes about (F_t + F_{t+1})/2 to eps/(w dt), but not
+          the alternating mode; the row of x^(n-2) fixes that mode, to eps/(w dt)^2. All u are solved for at once by
+          Gauss-Newton on both rows, each weighted by its rounding error: a tridiagonal system a step. A recursion
+          u_t -> u_{t+1} through the first row alone would be marginally stable.
+"""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from ...common.errors import BadInput
+from ..model.fitted import Fitted, model_of
+from ..model.model import Model
+from ..model.programs import jit
+from ..numerics.intersample import between
+from ..simulate import ports
+from ..simulate.decoder import film_voltage, frozen_increment, stage_fractions, step
+
+
+def _affine(model: Model, state, dt):
+    """Compute p(s) and g_j(s) of s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j for one time step."""
+    units = jnp.eye(3, dtype=state.dtype)
+
+    def stepped(forces):
+        return frozen_increment(model, state, (forces[0], forces[1], forces[2]), dt)
+
+    gains = jax.vmap(lambda unit: jax.jvp(stepped, (0 * unit,), (unit,))[1])(units)
+    return stepped(0 * units[0]), gains
+
+
+@jit
+def discrete_inverse(
+    model: Model | Fitted,
+    states: Float[Array, "time state"],
+    dt: float,
+    first: Float[Array, ""] | None = None,
+    sweeps: int = 20,
+) -> Float[Array, " time-1"]:
+    """Compute the voltage (V) of every time step between the states of a simulation, shape (time - 1,).
+
+    Args:
+        model: as rolled out.
+        states: shape (T, n + K).
+        dt: sampling interval, s.
+        first: u_0 in V if known (foh of order 1 without memory needs it, because its only row does not fix the
+            alternating mode).
+        sweeps: Gauss-Newton iterations (foh).
+
+    Returns:
+        Film voltage, equal to the input if the model has no lag (otherwise see `drive.undo`).
+        zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
+
+    Raises:
+        ValueError: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
+            the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
+
+    Examples:
+        >>> u = jnp.linspace(0.0, 1000.0, 50)
+        >>> states = pitp.rollout_scaled(model, u, 1e-3, pitp.rest_state(model))
+        >>> bool(jnp.allclose(pitp.discrete_inverse(model, states, 1e-3)[5:], u[5:-1], rtol=0.05))
+        True
+    """
+    model = model_of(model)
+    if model.effects:
+        raise ValueError("discrete_inverse does not support effects; use feedforward")
+    if model.hold == "bandlimited":
+        raise ValueError("discrete_inverse needs a model with hold foh or zoh")
+    if model.substeps != 1:
+        raise ValueError(
+            "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps"
+        )
+    free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
+    n = model.order
+    moved = jnp.diff(states, axis=0)  # exact for neighbouring states, so no rounding is added to the decoder's own
+    top = moved[:, n - 1] - free[:, n - 1]
+    if model.hold == "zoh":
+        return film_voltage(model, top / gains[:, :, n - 1].sum(1))
+    # at order 1 there is no x^(n-2): the first memory, a lag of x, shows the alternating mode instead
+    second = n - 2 if n > 1 else (n if model.memory.size else None)
+    below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
+    return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
+
+
+def _solve_foh(model: Model, upper, lower, first, sweeps):
+    """Solve for all voltages at once by Gauss-Newton, for a voltage that is linear between samples."""
+    top, top_gain = upper
+    dtype = top.dtype
+    force, voltage = model.input_map.force, model.input_map.voltage
+    unit = voltage(jnp.asarray(model.scales.force, dtype))
+    rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
+    if lower is not None:
+        total = lower[1].sum(1)
+        # both rows have the same rounding error, so the less sensitive one gets less weight
+        weight = jnp.median(jnp.abs(total / top_gain.sum(1))) ** 2
+        rows.append((lower[0] / total, lower[1] / total[:, None], weight))
+    known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
+    anchor = 0.0 if first is None else 1.0
+
+    def slope(v):
+        return jax.jvp(force, (v,), (jnp.ones_like(v),))[1]
+
+    def sweep(u, _):
+        now, later = u[:-1], u[1:]
+        middle, equations = (now + later) / 2, []
+        for value, gain, weight in rows:
+            missed = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
+            by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2
+            by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
+            equations.append((missed, by_now, by_later, weight))
+        u = u + _move(equations, anchor, anchor * (known - u[0]))
+        return voltage(force(u)), None  # the positive one of the two roots
+
+    start = voltage(jnp.append(rows[0][0], rows[0][0][-1:])) + 1e-3  # where a square's slope is not zero
+    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit
+
+
+def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
+    """Solve for the Gauss-Newton step of all voltages, from residual, derivatives and weight of every step.
+
+    `anchor`, `pull`: weight and weighted error of the first voltage, if it is known.
+    """
+    count, dtype = len(equations[0][0]), equations[0][0].dtype
+    # 1e-9 on the diagonal: where a square has no slope (u = 0) a voltage stays unchanged
+    diagonal, beside, right = jnp.full(count + 1, 1e-9, dtype), jnp.zeros(count, dtype), jnp.zeros(count + 1, dtype)
+    for missed, by_now, by_later, weight in equations:
+        diagonal = diagonal.at[:-1].add(weight * by_now**2).at[1:].add(weight * by_later**2)
+        beside = beside + weight * by_now * by_later
+        right = right.at[:-1].add(weight * by_now * missed).at[1:].add(weight * by_later * missed)
+    diagonal, right, pad = diagonal.at[0].add(anchor), right.at[0].add(pull), jnp.zeros(1, dtype)
+    sides = jnp.concatenate([pad, beside]), jnp.concatenate([beside, pad])
+    return jax.lax.linalg.tridiagonal_solve(sides[0], diagonal, sides[1], right[:, None])[:, 0]
+
+
+def along_motion(
+    model: Model, force: Float[Array, " time"], features: Float[Array, "time features"], dt, sweeps: int = 5
+) -> Float[Array, " time"]:
+    """Compute the film voltage (V) whose simulation steps lead from each instant of a motion to the next.
+
+        s_{t+1} = step(s_t, V_t, V_{t+1})       rows x^(n-1) and x^(n-2), each over what a force moves it by
+
+    It works for any model: steps are differentiated with substeps and effects.
+
+    Args:
+        model: the caller applies the effects between voltage and film.
+        force: scaled, by eq. 13: the start of the iteration.
+        features: S and memories along the motion, scaled.
+        dt: sampling interval, s.
+        sweeps: Gauss-Newton iterations.
+
+    Raises:
+        BadInput: a band-limited voltage, of which a sample acts on sixteen steps.
+    """
+    if model.hold == "bandlimited":
+        raise BadInput("kind 'discrete' needs a model with hold 'foh' or 'zoh'; give kind='closed_form'")
+    model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
+    states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
+    n, dtype = model.order, states.dtype
+    # at order 1 there is no x^(n-2): the first memory, if any, shows the alternating mode instead
+    rows = [n - 1, *([n - 2] if n > 1 else [n] if model.memory.size else [])]
+    unit = model.input_map.voltage(jnp.asarray(model.scales.force, dtype))
+
+    def after(state, now, later):
+        stages = between(unit * jnp.stack([now, later]), model.hold, stage_fractions(model), jnp)[0]
+        return step(model, state, stages, dt)[jnp.array(rows)]
+
+    one, square = jnp.ones((), dtype), model.input_map.one_sided
+    gain = jax.jvp(lambda v: after(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
+    weight = (gain / gain[0]) ** 2  # all rows have the same rounding error
+
+    def sweep(v, _):
+        each = states[:-1], v[:-1], v[1:]
+        missed = (states[1:, jnp.array(rows)] - jax.vmap(after)(*each)) / gain
+        by_now, by_later = (j / gain for j in jax.vmap(jax.jacfwd(after, (1, 2)))(*each))
+        v = v + _move([(missed[:, k], by_now[:, k], by_later[:, k], weight[k]) for k in range(len(rows))])
+        return jnp.maximum(v, 0.0) if square else v, None
+
+    start = film_voltage(model, force) / unit
+    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit

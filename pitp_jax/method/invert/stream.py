@@ -1,0 +1,140 @@
+"""Invert a displacement that arrives in blocks, with constant memory use.
+
+    rows [x, ..., x^(n)]   from R samples on either side (`spline_derivative`)
+    memory m               carried from window to window
+    u = V + tau V'         uses two rows of the next window
+
+Voltages are those of the whole path at once, to rounding. Windows are of one size, so two compilations serve any length
+(the last window is shorter); time counts within a window, so only the memories' own state may grow.
+"""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Bool, Float
+
+from ...common.errors import BadInput, refuse_traced
+from ..model.coordinate import to_model
+from ..model.fitted import Fitted, model_of
+from ..model.model import Model
+from ..numerics.spline_derivative import derivatives, inner, reach
+from .equation import force_and_voltage, scaled_equation
+
+_WINDOW = 1 << 17  # rows of a window
+_SMALLEST = 16
+_AHEAD = 2  # rows that `drive.lead` looks ahead and back
+_ROUNDING = 1e-6  # of the model's unit of force
+
+
+@dataclass(frozen=True)
+class Piece:
+    """A part of the computed voltage; the parts follow one another without gaps.
+
+    Attributes:
+        voltage: drive voltage before any limit, V, shape (samples,).
+        infeasible: True where the model needs a force that no voltage produces.
+    """
+
+    voltage: Float[np.ndarray, " samples"]
+    infeasible: Bool[np.ndarray, " samples"]
+
+
+def invert_stream(
+    model: Model | Fitted, blocks: Iterable[Float[np.ndarray, " _"]], dt: float, *, window: int = _WINDOW
+) -> Iterator[Piece]:
+    """Compute the voltage for a wanted displacement that arrives in blocks and starts at rest, without shooting.
+
+    Args:
+        model: identified or trained, without effects.
+        blocks: wanted displacement from the position at 0 V, base unit.
+        dt: sampling interval, s.
+        window: samples per pass, at least 16; memory use is proportional to it.
+
+    Returns:
+        pieces of the result, in order, as soon as they are known.
+
+    Raises:
+        BadInput: the model has effects, dt is not positive or the window too small; later, a sample is missing, or all
+            blocks together are too short for its order.
+
+    Examples:
+        >>> pieces = pitp.invert_stream(model, np.split(target.displacement, 4), target.dt)
+        >>> sum(len(piece.voltage) for piece in pieces) == len(target.displacement)
+        True
+    """
+    refuse_traced("invert_stream", "inverse", model, None if isinstance(blocks, Iterator) else blocks)
+    model = model_of(model)
+    if isinstance(blocks, np.ndarray) and blocks.ndim < 2:
+        raise BadInput("blocks is one array: give a list of arrays, [displacement] where there is only one")
+    if model.effects:
+        raise BadInput("streaming does not support effects; use `feedforward`")
+    if not dt > 0 or window < _SMALLEST:
+        raise BadInput(f"dt {dt} s, window {window}: dt must be positive, and window at least {_SMALLEST}")
+    return _pieces(model, blocks, dt, window)
+
+
+def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
+    state = model.memory.initial(jnp.zeros((), model.coefficients.dtype))
+    rows, back = np.zeros((0, model.order + 1)), 0
+    moved = (to_model(model, block) for block in _whole(blocks))
+    for more in _derivatives(_sized(moved, window), dt, model.order):
+        rows = np.concatenate([rows, more])
+        while len(rows) > window:
+            inverted = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
+            yield _piece(model, inverted, slice(back, window - _AHEAD))
+            # windows overlap by the rows that a derivative of V needs on either side
+            state, back = inverted[2][window - 2 * _AHEAD], _AHEAD
+            rows = rows[window - 2 * _AHEAD :]
+    if len(rows):
+        yield _piece(model, force_and_voltage(model, scaled_equation(model, rows), dt, state), slice(back, None))
+
+
+def _whole(blocks) -> Iterator[np.ndarray]:
+    """Yield the blocks; refuse a missing sample, because one nan would zero a whole window's voltage."""
+    first = 0
+    for block in blocks:
+        values = np.asarray(block, np.float64)
+        if not np.isfinite(values).all():
+            place = first + int(np.argmin(np.isfinite(values)))
+            raise BadInput(f"sample {place} of the wanted displacement is not a number; fill it, or stop there")
+        first += len(values)
+        yield values
+
+
+def _piece(model: Model, inverted, kept: slice) -> Piece:
+    force, voltage, _ = inverted
+    return Piece(np.asarray(voltage)[kept], np.asarray(model.input_map.infeasible(force + _ROUNDING))[kept])
+
+
+def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
+    """Yield the samples regrouped in blocks of at least `size`; the last block may be shorter."""
+    waiting, count = [], 0
+    for block in blocks:
+        waiting.append(block)
+        count += len(block)
+        if count >= size:
+            yield np.concatenate(waiting)
+            waiting, count = [], 0
+    if count:
+        yield np.concatenate(waiting)
+
+
+def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
+    """Yield rows [x, ..., x^(n)] of the samples in order; the last samples wait until later ones arrive."""
+    r, held, begun = reach(order), np.zeros(0), False
+    for block in blocks:
+        held = np.concatenate([held, block])
+        if len(held) <= 6 * r:
+            continue
+        if not begun:  # the filters' start-up reaches R samples in, so the spline itself is used there
+            yield derivatives(held[: 3 * r], dt, order)[:r]
+        yield inner(held[r:] if begun else held, dt, order)
+        held, begun = held[-3 * r :], True
+    if not begun:
+        yield derivatives(held, dt, order)
+        return
+    if len(held) > 3 * r:
+        yield inner(held[r:], dt, order)
+    yield derivatives(held[-3 * r :], dt, order)[-r:]

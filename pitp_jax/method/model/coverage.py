@@ -1,0 +1,96 @@
+"""Find the part of an input or a target outside the training data of a model, and describe it in a sentence."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from ...common.quantity import Quantity
+from ..signal.excited import Beyond, Cells, beyond, tabulate
+from ..signal.record import Record
+from .fitted import Fitted, fitted_of
+from .model import Model
+from .origin import Origin
+from .units import units_of
+
+WORTH_A_LINE = 0.1  # fraction of the energy
+_LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as trained
+
+
+def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
+    """Return the origin with the frequencies and amplitudes that these recordings excite; one sampling interval."""
+    outputs = [np.interp(r.time, r.time[r.observed], r.displacement[r.observed]) for r in records]
+    inputs, dt = [r.voltage for r in records], records[0].dt
+    return replace(origin, excited_input=tabulate(inputs, dt), excited_output=tabulate(outputs, dt))
+
+
+def input_beyond(model: Model | Fitted, voltage: np.ndarray, dt: float) -> Beyond:
+    """Return the part of a voltage (V, shape (time,)) outside the frequencies and amplitudes of the training data."""
+    fitted = fitted_of(model)
+    return beyond(fitted.origin.excited_input, voltage, dt, _resonance(fitted))
+
+
+def target_beyond(model: Model | Fitted, displacement: np.ndarray, dt: float) -> Beyond:
+    """Return the part of a target (m, shape (time,)) outside the frequencies and amplitudes of the training data."""
+    fitted = fitted_of(model)
+    return beyond(fitted.origin.excited_output, displacement, dt, _resonance(fitted))
+
+
+def _resonance(fitted: Fitted) -> float:
+    return float(fitted.model.natural_frequency) / (2 * np.pi)
+
+
+def input_words(model: Model | Fitted, part: Beyond) -> str:
+    """Describe the untrained part of an input, and the remedy; empty below a tenth of the input's energy."""
+    return _words("input", part, units_of(model).input)
+
+
+def target_words(model: Model | Fitted, part: Beyond) -> str:
+    """Describe the untrained part of a target, and the remedy; empty below a tenth of the target's energy."""
+    return _words("target", part, units_of(model).output)
+
+
+def _words(what: str, part: Beyond, unit: Quantity) -> str:
+    if part.fraction <= WORTH_A_LINE:
+        return ""
+    low, high = _hz(part.low_hz), _hz(part.high_hz)
+    at = "" if part.reached < _LITTLE * part.amplitude else " at this amplitude"
+    size = ""
+    if part.below_hz is not None and part.above_hz is not None:
+        trained = f"up to {_hz(part.below_hz)} Hz and from {_hz(part.above_hz)} Hz{at}"
+    elif part.below_hz is not None:
+        trained = f"up to {_hz(part.below_hz)} Hz{at}"
+    elif part.above_hz is not None:
+        trained = f"from {_hz(part.above_hz)} Hz{at}"
+    else:
+        size = f", with amplitudes of up to {_two(unit, part.amplitude)}"
+        trained = f"with amplitudes of up to {_two(unit, part.reached)} there"
+    return (
+        f"The {what} has {100 * part.fraction:.0f} % of its energy between {low} and {high} Hz{size}; the model was "
+        f"trained {trained}. Record such a motion and train again: `pitp plan MODEL RECORDINGS --band {low} {high}` "
+        "proposes it first."
+    )
+
+
+def trained_words(model: Model | Fitted) -> str:
+    """Describe the frequencies and amplitudes of the training data in a sentence; empty if unknown."""
+    fitted, lines = fitted_of(model), []
+    units, origin = units_of(fitted), fitted.origin
+    for what, table, unit in (
+        ("inputs", origin.excited_input, units.input),
+        ("motions", origin.excited_output, units.output),
+    ):
+        if table:
+            size, low, high = Cells(table, _resonance(fitted)).full()
+            lines.append(f"{what} of up to {_two(unit, size)} in amplitude between {_hz(low)} and {_hz(high)} Hz")
+    if not lines:
+        return ""
+    return f"The model was trained with {' and '.join(lines)}. Beyond these, the error of this code is not known."
+
+
+def _two(unit: Quantity, base: float) -> str:
+    return f"{float(f'{float(unit.shown(base)):.2g}'):.6g} {unit.unit}"
+
+
+def _hz(value: float) -> str:
+    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

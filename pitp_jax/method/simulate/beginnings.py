@@ -1,0 +1,109 @@
+"""Estimate how records start, with sensor offset and direction, beside the simulations of a model.
+
+    rest     x(0) = 0, uncharged
+    held     tokens(x) x + offset = F(u(0)), memories settled there
+    moving   the state is estimated from the first samples (`prediction`)
+
+`method.signal.start` decides with the simulations from rest and from the equilibrium of u(0).
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..model.model import Model
+from ..model.programs import jit, on_device
+from ..signal.initial_state import Beginning
+from ..signal.record import Record
+from ..signal.start import Response, estimate_start, first_part
+from . import ports
+from .decoder import rest_state, rollout_batch, step, still_state
+
+_AHEAD = 2048  # samples of the shortest simulation: few lengths, few programs to compile
+_GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
+
+
+@jit
+def held_states(
+    model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
+) -> Float[Array, "records state"]:
+    """Solve for the states in equilibrium at these voltages; nan if none lies within ten scaled displacements.
+
+    At an equilibrium, one decoder step from (x, 0, ...) does not change x^(n-1), and the sign of the change reverses
+    there.
+    """
+
+    def one(volts, age):
+        stages = jnp.full((2 * model.substeps + 1,), volts)
+
+        def state(x):
+            return still_state(model, x, volts, age)
+
+        def change(x):
+            return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
+
+        low, high = jnp.asarray(-_FAR, voltage.dtype), jnp.asarray(_FAR, voltage.dtype)
+        exists = jnp.asarray(True)
+        # Nested grids instead of Newton: a snapping film has several equilibria, and the one nearest to 0 is found.
+        for _ in range(_ROUNDS):
+            grid = jnp.linspace(low, high, _GRID)
+            up = jax.vmap(change)(grid) > 0
+            turns = up[:-1] & ~up[1:]  # accelerated up below it and down above it: stable
+            place = jnp.argmin(jnp.where(turns, jnp.abs(grid[:-1]), jnp.inf))
+            exists = exists & turns.any()
+            low, high = grid[place], grid[place + 1]
+        return jnp.where(exists, state((low + high) / 2), jnp.nan)
+
+    return jax.vmap(one)(voltage, age)
+
+
+@jit
+def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, age: Float[Array, " records"]):
+    """Simulate every record from rest and from the equilibrium at u(0); return (states, readings) of both."""
+    starts = jax.vmap(lambda a: rest_state(model, a))(age), held_states(model, voltage[:, 0], dt, age)
+    return [(s, jax.vmap(lambda r: ports.readings(model, r))(rollout_batch(model, voltage, dt, s))) for s in starts]
+
+
+def beginnings(
+    model: Model, records: Sequence[Record], ages: Sequence[float]
+) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
+    """Return how each record starts, and its initial state if it starts at rest or in equilibrium."""
+    dtype, omega = model.coefficients.dtype, model.natural_frequency
+    low, high = model.domain.voltage_range
+    span = float(high - low) if np.isfinite(high - low) and high > low else None
+    parts = [first_part(r, omega, span) for r in records]
+    size = _AHEAD * 2 ** int(np.ceil(np.log2(max(max(p.samples for p in parts) / _AHEAD, 1))))
+    voltage = np.stack([np.pad(p.voltage, (0, size - p.samples), mode="edge") for p in parts])
+    runs = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
+    (_, rest), (_, held) = runs
+    poles, scale = np.roots(np.nan_to_num(model.physical_coefficients[::-1])), float(model.scales.state[0])
+    begun = []
+    for k, p in enumerate(parts):
+        at_rest, settled = (scale * np.asarray(x, np.float64)[k, : p.samples] for x in (rest, held))
+        usual = (float(model.output.offset),), float(model.output.polarity)
+        begun.append(estimate_start(p, Response(at_rest, settled, poles, omega, *usual)))
+    states = {"rest": np.asarray(runs[0][0]), "held": np.asarray(runs[1][0])}
+    return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
+
+
+def with_zero_at_rest(begun: Sequence[Beginning]) -> list[Beginning]:
+    """Give records that start at a held voltage the sensor offset of records at rest, if it is plausible.
+
+    x(0) = d (y(0) - zero)        beside the model's own equilibrium of u(0), within a factor of two
+
+    Otherwise a held record would only repeat the model's static curve, because the model's equilibrium gave the offset.
+    A sensor that was zeroed under the held input reads no displacement there, which exceeds the factor of two.
+    """
+    known = sorted((b.zero, b.stderr) for b in begun if b.begins == "rest")
+    if not known:
+        return [replace(b, free=True) for b in begun]
+    zero, stderr = known[len(known) // 2]
+    zeroed = []
+    for b in begun:
+        same = b.begins == "held" and 0.5 < (b.level - zero) / ((b.level - b.zero) or np.inf) < 2.0
+        zeroed.append(replace(b, zero=zero, stderr=stderr) if same else replace(b, free=b.begins != "rest"))
+    return zeroed

@@ -1,0 +1,289 @@
+"""Predict the displacement of recordings: simulate the model under their voltages.
+
+    starts (at rest, or estimated from the first samples) -> rollout -> displacement in rig coordinates
+
+A diverging rollout is a result, marked `diverged`, with nan after its divergence.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Bool, Float
+
+from ...common.errors import refuse_traced
+from ...common.shown import Shown
+from ..model.coverage import input_beyond, input_words
+from ..model.fitted import Fitted, fitted_of
+from ..model.memory import FadingMemory, RingingMemory
+from ..model.model import Model
+from ..model.programs import jit, on_device
+from ..model.substeps import substeps
+from ..signal.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
+from ..signal.record import Record
+from ..signal.sets import alike, check_set, session_clock
+from . import ports
+from .batched_rollout import free_runs
+from .beginnings import beginnings
+from .decoder import rollout, settled_state
+
+_BLOCK = 256  # samples: starts are estimated from whole blocks, so that few lengths are compiled
+_SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
+FAR = 1e4  # a run beyond this scaled displacement has diverged
+
+
+@jit
+def estimate_state(
+    model: Model,
+    voltage: Float[Array, " time"],
+    displacement: Float[Array, " time"],
+    observed: Bool[Array, " time"],
+    dt: float,
+    age: float | Float[Array, ""] = 0.0,
+) -> Float[Array, " state"]:
+    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
+
+    Gauss-Newton on the rollout over S(0) and one level m at which every memory is assumed settled, with a weak prior
+    (1e-3) towards the mean displacement and no motion.
+    """
+    level = jnp.sum(jnp.where(observed, displacement, 0.0)) / jnp.maximum(jnp.sum(observed), 1)
+
+    def assemble(p):
+        return settled_state(model, p[:-1], p[-1], voltage[0], age)
+
+    prior = jnp.zeros(model.order + 1, displacement.dtype).at[jnp.array([0, -1])].set(level)
+
+    def residual(p):
+        x = ports.readings(model, rollout(model, voltage, dt, assemble(p)))
+        return jnp.concatenate([jnp.where(observed, x - displacement, 0.0), 1e-3 * (p - prior)])
+
+    def improve(p, _):
+        jacobian, error = jax.jacfwd(residual)(p), residual(p)
+        move = jnp.linalg.lstsq(jacobian, -error)[0]
+        best = p + move
+        better = jnp.sum(residual(best) ** 2) < jnp.sum(error**2)
+        # a shorter step if the full one overshoots; none if it is not finite
+        return jnp.where(better, best, p + 0.2 * move * jnp.isfinite(move).all()), None
+
+    return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
+
+
+def at_rate(model: Model, dt: float) -> Model:
+    """Return the model with enough Runge-Kutta steps per sample for this sampling interval (s)."""
+    count = max(model.substeps * max(1, round(dt / model.dt)), substeps(model.physical_coefficients, dt))
+    return replace(model, substeps=count) if count > model.substeps else model
+
+
+@dataclass(frozen=True)
+class Prediction(Shown):
+    """The simulated displacement of one record, with its initial state and its distance from the training data.
+
+    Attributes:
+        name: of the record.
+        displacement: predicted output in rig coordinates (offset and polarity applied), base unit, shape (T,); nan from
+            the sample where the rollout diverged.
+        diverged: whether the rollout diverged.
+        estimated_start: the record starts moving, so state and memory were estimated from its first samples.
+        scored: samples that count, shape (T,): all except those used to estimate the initial state.
+        outside_training_share: the larger of two fractions: of the samples, with a state outside the trained region;
+            of the input's energy, at frequencies and amplitudes that the model was not trained with.
+        outside_training: in which coordinates, by how much and when, in words; empty if inside.
+        not_excited: the sentence on the input's energy, where it is more than a tenth; otherwise empty.
+        begins: "rest", "held" or "moving".
+        zero, zero_stderr, direction: the record's own sensor offset and direction: measured = direction * x + zero (m
+            or V).
+        start_certainty: probability of this start beside the others (`method.signal.start`).
+    """
+
+    name: str
+    displacement: np.ndarray
+    diverged: bool
+    estimated_start: bool
+    scored: np.ndarray
+    outside_training_share: float
+    begins: Begins = "rest"
+    zero: float = 0.0
+    zero_stderr: float = 0.0
+    direction: float = 1.0
+    outside_training: str = ""
+    not_excited: str = ""
+    start_certainty: float = 1.0
+
+    def __repr__(self) -> str:
+        """Return one line: the range of the prediction, and the assumed initial state of the record."""
+        seen = self.displacement[np.isfinite(self.displacement)]
+        range_ = f"{seen.min():.4g} to {seen.max():.4g}" if len(seen) else "nothing"
+        state = "diverged" if self.diverged else f"{100 * self.outside_training_share:.3g} % outside the trained region"
+        return (
+            f"Prediction({self.name!r}: {range_} over {len(self.displacement)} samples, begins {self.begins}, zero "
+            f"{self.zero:.4g}, direction {self.direction:+g}, {state})"
+        )
+
+
+def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Prediction, ...]:
+    """Simulate the model under the voltage of every record; all records have one sampling rate.
+
+    Args:
+        model: identified, trained, or with effects (`Fitted` or `Model`).
+        records: as `pitp.read` gives them.
+
+    Returns:
+        one run per record, in the order given, in the rig's coordinates (m or V).
+
+    Raises:
+        BadInput: no records, of several rates, or something else than a model and records.
+
+    Examples:
+        >>> run = pitp.predict(model, records)[0]
+        >>> run.displacement.shape == records[0].displacement.shape
+        True
+    """
+    refuse_traced("predict", "free_run", model)
+    fitted = fitted_of(model)
+    model = fitted.model
+    check_set(records)
+    model = at_rate(model, records[0].dt)
+    # initial states over the whole set, because a session's clock and reach span all lengths
+    runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
+    # by length; otherwise one long record would pad all others
+    for places in alike(records):
+        some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
+        runs.update(zip(places, some, strict=True))
+    return tuple(_beside_trained(fitted, record, runs[k]) for k, record in enumerate(records))
+
+
+def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
+    """Add to a prediction the fraction and the description of the input's untrained part."""
+    part = input_beyond(model, record.voltage, record.dt)
+    share = max(run.outside_training_share, part.fraction)
+    return replace(run, outside_training_share=share, not_excited=input_words(model, part))
+
+
+def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
+    """Predict records that are padded to one length; `starts`: the result of `begin` for every record."""
+    size = -(-max(r.samples for r in records) // 1024) * 1024  # whole thousands: few lengths, few programs to compile
+    voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
+    start, spent, begun = zip(*starts, strict=True)
+    runs = free_runs(model, on_device(voltage, model.coefficients.dtype), records[0].dt, on_device(start))
+    return [
+        _prediction(model, r, states, np.asarray(seen, np.float64), n, b)
+        for r, states, seen, n, b in zip(records, *map(np.asarray, runs), spent, begun, strict=True)
+    ]
+
+
+def begin(
+    model: Model, records: Sequence[Record], aged: bool | None = None
+) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
+    """Return the initial states, the samples used for each, and how each record starts, with offset and direction."""
+    aged = session_clock(records) if aged is None else aged
+    ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
+    begun, states = beginnings(model, records, ages)
+    starts, spent = [], []
+    for record, age, state, b in zip(records, ages, states, begun, strict=True):
+        samples = 0 if state is not None else first_known(record) + initial_samples(model, record)
+        starts.append(_estimated(model, aligned(record, b, model.output), age, samples) if state is None else state)
+        spent.append(min(samples, record.samples))
+    if aged and model.effects:
+        # stretch by earlier records of the session remains (Mullins)
+        turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
+        far = reaches(model, turned)
+        starts = [ports.resumed(model, on_device(s), reach) for s, reach in zip(starts, far, strict=True)]
+    return on_device(starts), tuple(spent), begun
+
+
+def reaches(model: Model, records: Sequence[Record]) -> list[float]:
+    """Return the largest scaled |x| of the session before each record, without sensor offset and direction."""
+    scale = model.scales.state[0]
+    far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
+    begins = [r.time[0] for r in records]
+    return [max((f for f, b in zip(far, begins, strict=True) if b < own), default=0.0) for own in begins]
+
+
+def initial_samples(model: Model, record: Record) -> int:
+    """Return the number of samples used to estimate the initial state of a record that begins in motion.
+
+    1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
+    """
+    omega = model.natural_frequency
+    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
+    return int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
+
+
+def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
+    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
+
+    After an initial gap these samples follow the gap; the rollout starts before it.
+    """
+    dtype = model.coefficients.dtype
+    x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]
+    x = np.pad(x, (0, -len(x) % _BLOCK), constant_values=np.nan)
+    u = np.pad(record.voltage[:samples], (0, -len(record.voltage[:samples]) % _BLOCK), mode="edge")
+    observed = np.isfinite(x)
+    voltage, known = on_device(u, dtype), on_device(np.where(observed, x, 0.0), dtype)
+    now = on_device(age, dtype)  # an array, so that not every age needs a program
+    return estimate_state(model, voltage, known, on_device(observed), record.dt, now)
+
+
+def outside_fraction(model: Model, features: np.ndarray) -> float:
+    """Return the fraction of samples whose features (S, then memories, scaled) lie outside the trained region.
+
+    The box is widened by 5 % of its size, or of the displacement's range, on each side (slow memories barely move
+    in short records). A model without a region (identified only) returns 0.
+    """
+    if not len(model.domain.region) or len(features) == 0:
+        return 0.0
+    return float((_beyond(model, features) > _SLACK).any(-1).mean())
+
+
+def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
+    """Return how far each feature lies outside its trained range, relative to this range; negative inside."""
+    low, high = np.asarray(model.domain.region).T
+    return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
+
+
+def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:
+    """Describe which features leave the trained region, by how much and when; empty if none does.
+
+    Args:
+        model: its region is the box.
+        features: S then memory, scaled, shape (T, features).
+        time: of the rows, s, shape (T,).
+    """
+    if outside_fraction(model, features) == 0:
+        return ""
+    beyond = _beyond(model, features)
+    memory = model.memory
+    mass = ["second mass", "speed of the second mass"] if isinstance(memory, RingingMemory) else []
+    lags = np.exp(np.asarray(memory.log_tau)) if isinstance(memory, FadingMemory | RingingMemory) else []
+    fading = [f"memory with time constant {tau:.2g} s" for tau in lags]
+    names = ["stroke", "speed", *(f"derivative {k}" for k in range(2, model.order))][: model.order]
+    names += [*mass, *fading, *["memory"] * (memory.size - len(mass) - len(fading))]
+    worst = [k for k in np.argsort(-beyond.max(0)) if beyond[:, k].max() > _SLACK][:2]
+    return " and ".join(
+        f"{names[k]} by up to {100 * beyond[:, k].max():.0f} % of its trained range, first at "
+        f"{time[np.argmax(beyond[:, k] > _SLACK)]:.4g} s"
+        for k in worst
+    )
+
+
+def _prediction(
+    model: Model, record: Record, states: np.ndarray, seen: np.ndarray, spent: int, begun: Beginning
+) -> Prediction:
+    """Build the prediction of one record from its scaled states and readings, cut at a divergence."""
+    states = states[: record.samples]
+    lost = ~(np.isfinite(states).all(-1) & (np.abs(states[:, 0]) < FAR))
+    # after divergence nothing counts, even if the run returns
+    first = int(np.argmax(lost)) if lost.any() else record.samples
+    x = np.full(record.samples, np.nan)
+    # the record's own offset and direction, because a session may have remounted the sensor
+    x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
+    scored = np.ones(record.samples, bool)
+    scored[:spent] = False
+    features = states[:first, : model.order + model.memory.size]
+    outside = 1.0 if first == 0 else outside_fraction(model, features)
+    words = outside_words(model, features, record.time[:first] - record.time[0])
+    own = begun.begins, begun.zero, begun.stderr, begun.direction
+    return Prediction(record.name, x, bool(lost.any()), spent > 0, scored, outside, *own, words,
+                      start_certainty=begun.certainty)  # fmt: skip

@@ -1,0 +1,187 @@
+"""Compare the trained model with the nominal one by their simulation errors on the training records.
+
+    e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
+    a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
+
+Both errors contain the noise, so the difference of their squares is the error that training added. An addition below
+the noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then
+has the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from ...common.metrics import e_rms_percent
+from ..model.expected_error import error_table
+from ..model.fitted import Fitted, fitted_of
+from ..model.model import Hold, Model
+from ..signal.excited import Table
+from ..signal.initial_state import noise_std
+from ..signal.record import Record
+from ..simulate.prediction import Prediction, predict
+
+_ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: the effect of noise on a fit
+_DIVERGED = 1e6  # %; the value of a diverged run, so that means and ratios stay finite
+_LITTLE = 1.0  # %; a smaller mean error is not a failure,
+_CLOSED = 0.5  # nor one of at most this fraction of the nominal's
+
+
+@dataclass(frozen=True)
+class RecordError:
+    """The errors of one training record with the nominal and the trained model, and the sensor's noise.
+
+    All are e_rms in % of the record's range (infinite: diverged).
+    """
+
+    name: str
+    nominal: float
+    trained: float
+    noise: float = 0.0
+
+    @property
+    def worse(self) -> bool:
+        """Return whether training increased the error of this record beyond the effect of noise."""
+        # not <= instead of >: two infinite errors are not a loss, nan is one
+        return not self.trained <= _allowed(self.nominal, self.noise)
+
+
+@dataclass(frozen=True)
+class Score:
+    """The error of one simulated record: e_rms in % of range, and by frequency and amplitude (`error_table`)."""
+
+    percent: float
+    cells: Table
+
+
+def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
+    """Compute e_rms (%) of the simulation of every record; infinite if it diverges, 0 if nothing can be scored."""
+    return np.array([percent_of(p, r) for p, r in zip(predict(model, records), records, strict=True)])
+
+
+def scores(model: Model | Fitted, records: Sequence[Record]) -> list[Score]:
+    """Simulate every record, and return its errors; the cells are empty if it diverges."""
+    found = []
+    for p, r in zip(predict(model, records), records, strict=True):
+        error = np.where(p.scored, p.displacement - r.displacement, np.nan)
+        cells = () if p.diverged else error_table([p.displacement], [error], r.dt)
+        found.append(Score(percent_of(p, r), cells))
+    return found
+
+
+def percent_of(run: Prediction, record: Record) -> float:
+    """Return e_rms (%) of one simulated record; infinite if it diverged, 0 if nothing can be scored."""
+    value = e_rms_percent(run.displacement, record.displacement, run.scored)
+    return float(np.nan_to_num(value, nan=0.0, posinf=np.inf))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A possible result of training: its errors, those of the nominal model, and the sensor's noise, % of range."""
+
+    model: Model
+    names: tuple[str, ...]
+    nominal: Float[np.ndarray, " records"]
+    trained: Float[np.ndarray, " records"]
+    noise: Float[np.ndarray, " records"]
+
+    @property
+    def mean(self) -> float:
+        """Return the rms over records of the trained model's errors, % of range."""
+        return _mean(self.trained)
+
+    @property
+    def worse(self) -> Float[np.ndarray, " records"]:
+        """Return the trained model's error, divided by the largest acceptable one, shape (records,)."""
+        return np.minimum(self.trained, _DIVERGED) / np.clip(_allowed(self.nominal, self.noise), 1e-12, _DIVERGED)
+
+    @property
+    def rank(self) -> tuple[int, float]:
+        """Return (number of records worse than with the nominal model, mean error); smaller is better."""
+        worse = int((self.worse > 1).sum())
+        return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
+
+    @property
+    def converged(self) -> bool:
+        """Return whether training succeeded: no record is worse, and the error without noise is small or halved."""
+        return self.rank[0] == 0 and self._small
+
+    @property
+    def nearly(self) -> bool:
+        """Return whether the mean error is small, but some record is worse than with the nominal model."""
+        return self.rank[0] > 0 and self._small
+
+    @property
+    def _small(self) -> bool:
+        # without noise, which no model can reduce; otherwise a noisy set would never count as converged
+        after, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
+        return after <= max(_LITTLE, _CLOSED * before)
+
+    @property
+    def errors(self) -> tuple[RecordError, ...]:
+        """Return the errors of both models on every record."""
+        columns = (self.nominal.tolist(), self.trained.tolist(), self.noise.tolist())
+        return tuple(RecordError(n, *e) for n, *e in zip(self.names, *columns, strict=True))
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A function that compares a model with the nominal model by simulation errors on the training records.
+
+    Models of averaged records are simulated at the records' own rate, where they will be used.
+    """
+
+    records: Sequence[Record]
+    nominal: Float[np.ndarray, " records"]
+    noise: Float[np.ndarray, " records"]
+    hold: Hold = "foh"
+
+    def __call__(self, model: Model) -> Candidate:
+        """Simulate the model on all records, and return it as a candidate with its errors."""
+        names = tuple(r.name for r in self.records)
+        averaged = any(r.dt != model.dt for r in self.records)
+        there = model.sampled(self.records[0].dt, self.hold) if averaged else model
+        return Candidate(model, names, self.nominal, errors(there, self.records), self.noise)
+
+
+def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
+    """Build the function that compares trained models with this nominal model on these records."""
+    noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
+    return Judge(records, errors(nominal, records), np.array(noise), fitted_of(nominal).hold)
+
+
+def kept(
+    best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
+) -> tuple[Candidate, list[str], str | None]:
+    """Choose a model that is worse on no record; return it, lines on failures, and the name of a replacement.
+
+    `between`: models from this one towards the nominal, which comes last.
+    """
+    chosen = best
+    if best.rank[0]:
+        tried = [compare(m) for m in between(best.model)]
+        # the nominal, last, is nowhere worse than itself, so there is always a result
+        good = [c for c in tried[:-1] if c.rank[0] == 0]
+        chosen = min(good, key=lambda c: c.mean) if good else tried[-1]
+        lost = ", ".join(
+            f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
+        )
+        lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
+        what = "a model between it and the nominal" if good else "the nominal itself"
+        return chosen, [f"training failed: the best start is worse than the nominal model on {lost}, so {what} is "
+                        "returned. Run `pitp check` on these recordings, or leave them out"], what  # fmt: skip
+    if not chosen.converged:
+        both = f"the mean error is {chosen.mean:.3g} % of range, the nominal's {_mean(chosen.nominal):.3g} %"
+        return chosen, [f"training did not converge: {both}. Run `pitp diagnose` to find the missing effect"], None
+    return chosen, [], None
+
+
+def _allowed(nominal, noise):
+    """Return the largest error that does not count as worse than the nominal model's, % of range."""
+    return np.hypot(_ALIKE * np.asarray(nominal), noise)
+
+
+def _mean(errors) -> float:
+    return float(np.sqrt(np.mean(np.minimum(errors, _DIVERGED) ** 2)))
