@@ -73,7 +73,7 @@ def test_text_complex_and_matrices_are_refused_in_stored_formats(tmp_path, name)
 
 def test_matrix_and_unequal_lengths_are_refused(tmp_path):
     save_h5(tmp_path / "a.h5", columns(voltage_V=np.ones((T, 2))))
-    assert "matrix" in refused(tmp_path / "a.h5")
+    assert "'voltage_V[1]', 'voltage_V[2]': two columns" in refused(tmp_path / "a.h5")
     save_npz(tmp_path / "a.npz", columns(displacement_mm=OUTPUT[:90]))
     message = refused(tmp_path / "a.npz")
     assert "sample 90" in message

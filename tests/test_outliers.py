@@ -147,24 +147,6 @@ def test_a_sensor_at_its_limit_for_most_of_a_record_is_clipped(fraction, hz, qua
     assert not mask_faults(np.round(x - NOISE / 5, 6), drive).clipped
 
 
-def test_a_limit_that_others_of_the_set_tell_is_one(tmp_path):
-    """A record without noise that stands at it may have met a stop: it would not tell alone."""
-    motions = {"plain": np.minimum(MOTION, 5e-4), "turn": MOTION - NOISE, "lower": 0.4 * MOTION}
-    motions["turn"] = np.minimum(5.1e-4 / 1e-3 * motions["turn"], 5e-4)
-    for name, x in motions.items():
-        rows = zip(TIME, DRIVE, x, strict=True)
-        text = "".join(f"{t:.4f},{u:.6g},{1e3 * y:.6g}\n" for t, u, y in rows)
-        (tmp_path / f"{name}.csv").write_text("time_s,voltage_V,displacement_mm\n" + text)
-    alone = read(tmp_path / "turn.csv")[0]
-    assert alone.recognised["clipped"] == 0
-    records = {r.name: r for r in read(tmp_path)}
-    stands = np.isclose(motions["turn"], 5e-4, rtol=0, atol=1e-12)
-    missing = np.isnan(records["turn"].displacement)
-    assert missing.sum() == records["turn"].recognised["clipped"] > 0.9 * stands.sum() and stands[missing].all()
-    assert "as others of the set" in records["turn"].recognised["remarks"][-1]
-    assert records["lower"].recognised["clipped"] == 0
-
-
 def test_a_gear_that_stands_still_at_every_reversal_has_a_good_sensor():
     """Stiction holds one value at each turning point, the extremes among them; in motion no two readings are equal."""
     time = np.arange(4000) * 0.02

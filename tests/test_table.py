@@ -80,11 +80,11 @@ def csv_of(path, names, values, separator=",", above=(), below=()):
 
 
 def tried(message: str) -> dict[str, Any]:
-    """The options of the command that a refusal ends with."""
+    """The options that a refusal ends with."""
     assert len(message) <= 587, len(message)  # `pitp: error: ` stands before it
-    words = shlex.split(message.rpartition("try: pitp check ")[2])
+    words = shlex.split(message.rpartition("; try: ")[2])
     kinds = {"rate": float, "input_scale": float, "output_scale": float, "header_line": int}
-    options = dict(zip((w[2:].replace("-", "_") for w in words[1::2]), words[2::2], strict=True))
+    options = dict(zip((w[2:].replace("-", "_") for w in words[::2]), words[1::2], strict=True))
     return {k: v if v.isupper() and len(v) > 2 else kinds.get(k, str)(v) for k, v in options.items()}
 
 
@@ -429,7 +429,7 @@ def test_alike_files_are_refused_once(tmp_path):
         csv_of(tmp_path / f"{k:02d}.csv", ("X", "CH1", "CH2"), (TIME, VOLTAGE / 1000, OUTPUT / 2), below=["s,V,V"])
     message = refused(tmp_path)
     assert message.startswith("20 of 20 files are refused: 00.csv, 01.csv, 02.csv and 17 more")
-    assert len(message) < 587 and message.count("pitp check") == 1
+    assert len(message) < 587 and message.count("; try: ") == 1
     assert tried(message)["input_column"] == "CH1"
 
 

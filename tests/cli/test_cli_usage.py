@@ -74,7 +74,7 @@ def test_two_inputs_are_refused_with_a_command_that_names_one(call, tmp_path):
     line = refused(call("identify", path, "--out", tmp_path / "m", "--input-column", "left_kV,angle_deg"))
     assert "one input" in line
     proposed = shlex.split(line.rpartition("; try: pitp ")[2])
-    assert proposed[proposed.index("--input-column") + 1 :] == ["left_kV"]
+    assert proposed[proposed.index("--input-column") + 1 :] == ["left_kV", "--output-column", "angle_deg"]
 
 
 @pytest.mark.parametrize("command", [[], ["plan"], ["identify"], ["fit"], ["predict"], ["invert"], ["info"], ["demo"]])
@@ -180,6 +180,28 @@ def test_a_proposed_command_is_of_the_command_that_was_run(call, tmp_path):
     proposed = shlex.split(line.rpartition("; try: pitp ")[2])
     assert proposed[: len(argv)] == [str(a) for a in argv] and "--input-column" in proposed
     assert "--input-column" not in call(*proposed)[2].rpartition("; try: ")[2]
+
+
+def test_a_command_is_proposed_before_a_current(call, tmp_path):
+    path = machine_log(tmp_path / "log.csv", "time_s,present_current_mA,goal_position")
+    table = path.read_text().splitlines()
+    path.write_text("\n".join([f"{table[0]},present_position"] + [f"{row},{k % 7}" for k, row in enumerate(table[1:])]))
+    assert "--input-column goal_position" in refused(call("check", path)).rpartition("; try: pitp check ")[2]
+
+
+def test_of_files_of_two_kinds_a_pitp_toml_is_proposed(call, tmp_path):
+    machine_log(tmp_path / "good.csv", "time_s,command_rad,angle_rad")
+    machine_log(tmp_path / "log.csv", "time_s,left_rad,right_rad")
+    line = refused(call("identify", tmp_path, "--out", tmp_path / "m"))
+    _, mark, proposed = line.partition(f"; write into {tmp_path / 'pitp.toml'}: ")
+    assert mark
+    (tmp_path / "pitp.toml").write_text("\n".join(['["log.csv"]', *tomllib_lines(proposed)]))
+    assert len(pitp_jax.read(tmp_path)) == 2
+
+
+def tomllib_lines(proposed):
+    """The entry that a refusal proposes, as lines of a table."""
+    return [f'{key} = "{value}"' for key, value in tomllib.loads(proposed.strip())["log.csv"].items()]
 
 
 def test_for_one_of_two_sets_a_pitp_toml_is_proposed(call, tmp_path):

@@ -15,7 +15,7 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from ... import __version__
 from ...common.errors import BadInput, ComputationFailed
@@ -24,7 +24,6 @@ from .console import say
 from .each import json_to_standard_output, once_per_joint
 from .examples import ending
 from .ours import allow_overwriting
-from .own_command import own_command
 
 if TYPE_CHECKING:
     from .amounts import Amount
@@ -35,6 +34,7 @@ _READING = "reading:"  # before names of reading options: invert has its own --r
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, keep only slow compilations.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
+_OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
 # advice for an option given twice
 _SINGLE = {
     f"{_READING}input_column": "a recording has one input; fit a model to each input, or a column computed from both",
@@ -103,8 +103,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except Exception as error:
         if os.environ.get("PITP_TRACEBACK"):
             traceback.print_exc()
-        code, line = _explain(error)
-        line = own_command(line, list(sys.argv[1:] if argv is None else argv))
+        code, line = _explain(error, list(sys.argv[1:] if argv is None else argv))
         say(f"error: {line}")
         return code
 
@@ -128,8 +127,14 @@ def _say_anything() -> None:
             stream.reconfigure(errors="backslashreplace")
 
 
-def _explain(error: Exception) -> tuple[int, str]:
+def _explain(error: Exception, argv: Sequence[str]) -> tuple[int, str]:
     """Turn an error that ended a command into an exit code and one line of text."""
+    if isinstance(error, BadInput) and (options := getattr(error, "options", ())):
+        refused: Any = error  # its class is loaded only by commands that read files
+        # options of a command suit one set of files, all of one kind; its --rate may not be that of the files
+        whole = refused.alone and argv[0] != "compare" and "--against" not in argv
+        own_rate = argv[0] in _OWN_RATE and "--rate" in options
+        error = BadInput(refused.in_command(argv) if whole and not own_rate else refused.in_folder())
     text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay, because headers may hold several
     if isinstance(error, BadInput):
         return 2, text

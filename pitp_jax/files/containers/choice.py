@@ -128,7 +128,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
-    elif len(ports) == 2 and all(_port(s) for s in ports) and not _stated_ports(options):
+    elif len(ports) == 2 and all(_port_only(s) for s in ports) and not _stated_ports(options):
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
@@ -168,7 +168,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
 
 
-def _port(seen: _Seen) -> bool:
+def _port_only(seen: _Seen) -> bool:
     """Return whether a voltage is named only input or output, which may mean a port of the DAQ or of the actuator."""
     return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
@@ -409,44 +409,63 @@ def _own_clock(ports: Sequence[_Seen]) -> Choice:
 
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
-    """Return command-line options that would solve the problems; unknown values (scale, rate, unit) in capitals."""
-    absent = {f"--{OPTIONS[q]}-column" for q in problems if options.column(q) is not None and not pools[q]}
-    stated = options.words()
-    words = [word for group in by_option(stated) if group[0] not in absent for word in group]
+    """Return command-line options that solve the problems: the first free column by role; unknown values in capitals.
+
+    Both columns are named as soon as one is in question, because a scale or a name changes what may be the other.
+    """
+    words: list[str] = []
     taken = {choice.place for choice in chosen.values()}
     free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
-    if "time" in problems and not problems["time"].options:
-        words += _time_words(table, seen, pools["time"], free, taken)
-    elif "time" in problems:
-        words += problems["time"].options
-    ports = {}
-    for quantity in ("voltage", "displacement"):
-        if quantity in chosen:
-            ports[quantity] = next(s for s in seen if s.place == chosen[quantity].place)
-        elif quantity in quantities:
-            other = "input" if quantity == "displacement" else "output"
-            others = [s for s in free if s.role != "time" and s.kind != "time"]
-            others.sort(key=lambda s: s.role == other)  # a name of the opposite role comes last
-            pool = [s for s in pools[quantity] or others if s.place not in taken and not s.header.words & _COUNTERS]
-            named = [s for s in pool if s.role == "output"] if quantity == "displacement" else []
-            first = next((s for s in named or pool if len(_values(table, s.place))), None)
-            if first is not None:
-                ports[quantity] = first
-                taken.add(first.place)
-    # an amplifier has two monitors: if the input is one, the output is one too
-    daq = "voltage" in ports and _is_monitor(_values(table, ports["voltage"].place), ports["voltage"])
-    for quantity, port in ports.items():
-        # a scale or a column for the other quantity makes columns without a unit candidates
-        rivals = [s for s in _bare(seen, _ROLE[quantity]) if s is not port and options.column(quantity) is None]
-        name = _said(seen, port) if len(pools[quantity]) != 1 or rivals else None
-        words += _port_words(quantity, port, problems, options, daq, name)
-    return _once(words) if set(ports) | {"time"} >= set(quantities) else []
+    if "time" in problems:
+        words += problems["time"].options or _time_words(table, seen, pools["time"], free, taken)
+    ports = [q for q in ("voltage", "displacement") if q in quantities]
+    asked = any(q in problems and len(pools[q]) != 1 for q in ports)
+    monitors = False  # an amplifier has two: if the input is one, the output is one too
+    for quantity in ports:
+        port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken)
+        if port is None:
+            return []
+        taken.add(port.place)
+        monitors = monitors or quantity == "voltage" and _is_monitor(_values(table, port.place), port)
+        if quantity in problems and problems[quantity].options:
+            words += problems[quantity].options
+        elif (asked or monitors) and (options.column(quantity) is None or quantity in problems):
+            words += [f"--{OPTIONS[quantity]}-column", _said(seen, port)]
+        words += _unit_words(port, quantity, quantity in problems, options, monitors)
+    groups = by_option(words)  # a question about both columns names both
+    return [w for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for w in group]
 
 
-def _once(words: Sequence[str]) -> list[str]:
-    """Drop repeated options with their values; the first of each is kept."""
-    groups = by_option(words)
-    return [word for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for word in group]
+def _port(table: Table, seen, pool, free, choice: Choice | None, quantity: str, taken: set) -> _Seen | None:
+    """Return the chosen column of a quantity, otherwise the first free one by its role: a command before a current."""
+    if choice is not None:
+        return next(s for s in seen if s.place == choice.place)
+    role, wrong = ("input", "output") if quantity == "voltage" else ("output", "input")
+
+    def unlikely(s: _Seen) -> tuple[bool, ...]:
+        values = _values(table, s.place)
+        commanded = role == "input" and s.header.commanded
+        moves = values.size > 0 and bool(np.ptp(values) > 0)
+        return not values.size, s.role == wrong, not moves, not commanded, s.role != role
+
+    free = [s for s in pool or free if s.place not in taken and s.kind != "time" and not s.header.words & _COUNTERS]
+    free = [s for s in free if pool or s.role != "time"]
+    first = min(free, key=unlikely, default=None)
+    return first if first is not None and _values(table, first.place).size else None
+
+
+def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, monitors: bool) -> list[str]:
+    """Return options that state the unit and scale of a column, in capitals where no file holds them."""
+    if options.scale(quantity) is not None:
+        return []
+    stem, bare = OPTIONS[quantity], port.kind is None and not port.conflict
+    volts = port.kind == "voltage" or (bare and not port.unknown and monitors)
+    words = []
+    if bare and options.unit(quantity) is None:
+        words += [f"--{stem}-unit", "V" if volts else "UNIT"]
+    if volts and (monitors or (quantity == "displacement" and asked)):
+        words += [f"--{stem}-scale", "SCALE"]
+    return words
 
 
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
@@ -457,15 +476,12 @@ def _said(seen: Sequence[_Seen], one: _Seen) -> str:
 
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
     """Return options that state the time: a rising column, or a rate."""
-    pool = pool or [
-        s
-        for s in free
-        if s.role is None and s.unit is None and not s.header.words & _COUNTERS and _rises(_values(table, s.place))
-    ]
+    bare = [s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS]
+    pool = pool or [s for s in bare if _rises(_values(table, s.place))]
     if not pool:
         return ["--rate", "RATE"]
-    taken.add(pool[0].place)
     first = pool[0]
+    taken.add(first.place)
     named = ["--time-column", _said(seen, first)] if len(pool) > 1 or first.role != "time" else []
     return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
 
@@ -498,21 +514,6 @@ def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
         return float(np.abs(to_base(values, seen.unit)).max()) <= _MONITOR
     alone = seen.header.words == {"voltage"} and seen.column.name.lower() != "voltage"  # Voltage_0 of a DAQ
     return bool(seen.header.words & _DAQ) or alone
-
-
-def _port_words(quantity: str, port: _Seen, problems, options: ReadOptions, daq: bool, name: str | None) -> list[str]:
-    stem, words = OPTIONS[quantity], []
-    if quantity in problems and problems[quantity].options:
-        words += problems[quantity].options
-    elif name is not None:
-        words += [f"--{stem}-column", name]
-    if options.scale(quantity) is None:
-        volts = port.kind == "voltage" or (port.kind is None and not port.conflict and not port.unknown and daq)
-        if port.kind is None and not port.conflict and options.unit(quantity) is None:
-            words += [f"--{stem}-unit", "V" if volts else "UNIT"]
-        if volts and (daq if quantity == "voltage" else daq or quantity in problems):
-            words += [f"--{stem}-scale", "SCALE"]
-    return words
 
 
 def _names(names: Sequence[str]) -> str:

@@ -182,7 +182,7 @@ def _values(
         values = dict(zip(rest, table.load(rest), strict=True))  # errors in these come first
         if options.rate is None:
             why = str(error).removeprefix(f"{table.source}: ")
-            raise Refused(table.source, why, [*options.words(), "--rate", "RATE"]) from None
+            raise Refused(table.source, why, ["--rate", "RATE"]) from None
         return values, chosen | {"time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")}
 
 
@@ -210,7 +210,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
     elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
         unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
     if unfit and rate is None:
-        raise Refused(source, unfit, [*options.words(), *remedy])
+        raise Refused(source, unfit, remedy)
     if unfit and rate is not None:
         loaded["time"] = np.arange(count) / rate
         return Choice(None, "--rate", "s", unfit.partition(";")[0])

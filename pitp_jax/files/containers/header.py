@@ -39,8 +39,8 @@ class NoTable(BadInput):
     def __init__(self, source: str):
         """Write the message for a file."""
         super().__init__(
-            f"{source}: holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, or give "
-            "--separator and --header-line"
+            f"{source}: holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, give "
+            "--separator and --header-line, or --join the files that hold the other columns"
         )
 
 

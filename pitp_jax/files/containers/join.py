@@ -1,10 +1,9 @@
-"""Join files that hold time, input and output separately, and propose the command that joins them.
+"""Join files that hold time, input and output separately.
 
 one length, one clock at most, or clocks that agree:  rows side by side
 a clock in every file:                                rows in turn by their times, cells of the other files empty
 """
 
-import os
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -19,12 +18,8 @@ from .choice import choose_columns
 from .formats import Parts, open_parts, split_suffix
 from .header import NoTable
 from .options import ReadOptions
-from .refusal import Refused
 from .table import Column, Table, sample
 from .text import single_column
-
-_MOST = 12  # files that are compared
-_TOGETHER = 6  # files that hold one record
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:
@@ -156,59 +151,3 @@ def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Co
             columns.append(column)
             owners.append((table, place))
     return tuple(columns), owners
-
-
-def proposed_join(files: Sequence[Path], options: ReadOptions, quantities: Sequence[str]) -> Refused | None:
-    """Return a refusal that proposes how to join files which only together hold time, input and output, or None.
-
-    Args:
-        files: unreadable files of one call.
-        options: the caller's options.
-        quantities: the wanted ones.
-    """
-    folder = files[0].parent
-    if options.join is not None or any(file.parent != folder or file.is_dir() for file in files):
-        return None
-    if len(files) == 1:
-        files = [*files, *(f for f in sorted(folder.iterdir()) if f.is_file() and f != files[0])]
-    tables, sizes = [], []
-    for file in files[:_MOST]:
-        with suppress(BadInput):
-            table = _opened(file, options)[0][0]
-            sizes.append(_rows(table))
-            tables.append(table)
-    groups = [[t for t, other in zip(tables, sizes, strict=True) if other == size] for size in dict.fromkeys(sizes)]
-    # files of one length first, then files with their own clocks
-    for group in [*groups, tables]:
-        words = _options(group, options, quantities) if 2 <= len(group) <= _TOGETHER else None
-        if words is not None:
-            first, others = group[0], [os.fspath(table.path) for table in group[1:]]
-            names = cleaned(", ".join(os.path.basename(other) for other in others))
-            why = f"holds only some of time, input and output, and {names} the others"
-            return Refused(first.source, why, [*words, "--join", *others])
-    return None
-
-
-def _options(tables: Sequence[Table], options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options with which joined tables can be read; None if they cannot, or if one of them is complete."""
-    alone = [_missing(table, options, quantities) for table in tables]
-    if any(words is None for words in alone):
-        return None
-    try:
-        words = _missing(_joined(tables, options), options, quantities)
-    except BadInput:
-        return None
-    if words is None:
-        return options.words()
-    # with a rate any two recordings without a clock could be joined
-    single = any(some and "--rate" not in some for some in alone)
-    return words if words and "--rate" not in words and not single else None
-
-
-def _missing(table: Table, options: ReadOptions, quantities: Sequence[str]) -> list[str] | None:
-    """Return the options that would complete a table (empty if none would); None if it is complete."""
-    try:
-        choose_columns(table, options, quantities)
-    except BadInput as error:
-        return [*getattr(error, "options", ())]
-    return None

@@ -63,6 +63,11 @@ class Header:
         return [role for role, known in _WORDS.items() if self.words & known]
 
     @property
+    def commanded(self) -> bool:
+        """Return whether a word of the name says command: `goal`, `target`, `setpoint`."""
+        return bool(self.words & _COMMANDS)
+
+    @property
     def clock_only(self) -> bool:
         """Return whether the name can only be that of a clock: `time`, but not `cycle time` or `latency`."""
         return bool(self.words) and self.words <= _WORDS["time"]

@@ -1,88 +1,107 @@
-"""Refuse files with the problem, the content of the file, and the complete command to try.
+"""Refuse files: the problem, and the options that would solve it, as data.
 
-<file>: <problems> (columns here: ...); try: pitp check FILE --option VALUE ...        at most 600 characters
+<file>: <problem> (columns here: ...); try: --option VALUE ...        at most 585 characters
+
+The command line puts its own command before the options, so that the line is the complete command to try.
 """
 
+import json
 import os
 import shlex
 from collections.abc import Sequence
 
 from ...common.errors import BadInput, cleaned
 
-_LONGEST, _PROGRAM = 600, len("pitp: error: ") + 2
+LONGEST = 585  # characters of a refusal; with `pitp: error: ` before it 600
+_SHORTEST = 40  # of the problem, however long the remedy is
+_FOLDER_FILE = "pitp.toml"
 
 
 class Refused(BadInput):
-    """Error: a file cannot be read as it is; it holds the options that would solve the problem.
+    """Error: files cannot be read as they are; it holds the options that would solve the problem.
 
     Attributes:
-        source: the file.
+        source: the file, or the first of several.
         why: the problem, without the file.
-        options: words of a command line that solve it; empty if none does.
-        aside: text that may be shortened: the columns of the file.
+        options: words of a command line that solve it, to be added to those given; empty if none does.
+        aside: text that may be omitted: the columns of the file.
+        named: the files as the message names them.
+        alone: whether every file of the call is refused for this reason, so that the options suit the whole call.
     """
 
-    def __init__(self, source: str, why: str, options: Sequence[str] = (), aside: str = ""):
+    def __init__(
+        self, source: str, why: str, options: Sequence[str] = (), aside: str = "", named: str = "", alone: bool = True
+    ):
         """Write the message; the arguments are the attributes."""
-        super().__init__(composed([source], why, options, aside, [source]))
         self.source, self.why, self.options, self.aside = source, why, tuple(options), aside
+        # the proposed command holds the whole path
+        self.named, self.alone = named or (os.path.basename(source) if options else source), alone
+        super().__init__(self.ending(f"; try: {shlex.join(options)}" if options else ""))
+
+    def ending(self, remedy: str) -> str:
+        """Write the refusal in one line that ends with a remedy; the problem is shortened before it."""
+        room = LONGEST - len(remedy) - len(self.named) - 2
+        why = self.why if len(self.why) <= room else self.why[: max(room - 3, _SHORTEST)].rstrip() + "..."
+        aside = f" ({self.aside})" if self.aside and len(why) + len(self.aside) + 3 <= room else ""
+        return f"{self.named}: {why}{aside}{remedy}"
+
+    def in_command(self, argv: Sequence[str]) -> str:
+        """Write the refusal with the complete command to try: the one given, with the options added.
+
+        Args:
+            argv: the arguments of the command.
+        """
+        # a check is tried without its files: the line stays short
+        names = (*self.options[::2], *(("--out", "--json") if argv[0] == "check" else ()))
+        # a name with control characters is shown cleaned, so its command must be typed anew
+        words = ["pitp", *map(cleaned, _without(argv, names)), *self.options]
+        return self.ending(f"; try: {shlex.join(words)}") if self.options else str(self)
+
+    def in_folder(self) -> str:
+        """Write the refusal with the entry of `pitp.toml` that suits this file and no other of the call."""
+        pairs = zip(self.options[::2], self.options[1::2], strict=True)
+        keys = ", ".join(f"{name[2:]} = {json.dumps(value, ensure_ascii=False)}" for name, value in pairs)
+        folder, name = os.path.split(self.source)
+        pattern = json.dumps("*" if self.alone else name, ensure_ascii=False)
+        file = os.path.join(folder, _FOLDER_FILE)
+        return self.ending(f"; write into {file}: {pattern} = {{{keys}}}") if self.options else str(self)
 
 
-def composed(
-    sources: Sequence[str], why: str, options: Sequence[str], aside: str, paths: Sequence[str], before: str = ""
-) -> str:
-    """Write a refusal in one line of at most 600 characters; the problem is shortened before the command.
-
-    Args:
-        sources: the files concerned.
-        why: the problem.
-        options: that solve it.
-        aside: added if there is room.
-        paths: for the command.
-        before: text before the first file.
-    """
-    short = [os.path.basename(source) for source in sources] if options else sources  # the command has the whole path
-    named = ", ".join(short[:3]) + (f" and {len(short) - 3} more" if len(short) > 3 else "")
-    command = "; try: " + shlex.join(["pitp", "check", *paths, *options]) if options else ""
-    room = _LONGEST - _PROGRAM - len(command) - len(before) - len(named) - 2
-    # the command must be complete to run
-    if len(why) > room:
-        why = why[: max(room - 3, 40)].rstrip() + "..."
-    text = f"{why} ({aside})" if aside and len(why) + len(aside) + 3 <= room else why
-    return f"{before}{named}: {text}{command}"
+def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
+    """Return arguments without these options and their values, because a repeated option is refused."""
+    words, skip = [], False
+    for word in argv:
+        if not skip and word.partition("=")[0] not in names:
+            words.append(word)
+        skip = not skip and word in names
+    return words
 
 
-def together(refusals: Sequence[BadInput], files: int, paths: Sequence[object]) -> str:
-    """Write all refusals in one line: equal ones once, with one command for the first kind that has one.
+def together(refusals: Sequence[BadInput], files: int) -> BadInput:
+    """Return one error for all refusals: equal ones once, with the options of the first kind that has some.
 
     Args:
         refusals: of single files.
         files: number of files tried.
-        paths: as the user gave them, for the command.
     """
-    if len(refusals) == 1:
-        return str(refusals[0])
+    if len(refusals) == 1 and (files == 1 or not isinstance(refusals[0], Refused)):
+        return refusals[0]
+    # files of one kind are refused for one reason, reported once
     kinds: dict[tuple, list[str]] = {}
     for refusal in refusals:
         source, _, why = str(refusal).partition(": ")
-        curable = isinstance(refusal, Refused)
-        # files of one kind are refused for one reason, reported once
-        key = (refusal.why, refusal.options, refusal.aside) if curable else (why, (), "")
-        kinds.setdefault(key, []).append(refusal.source if curable else source)
-    before = f"{len(refusals)} of {files} files are refused: "
+        if isinstance(refusal, Refused):
+            kinds.setdefault((refusal.why, refusal.options, refusal.aside), []).append(refusal.source)
+        else:
+            kinds.setdefault((why, (), ""), []).append(source)
     (why, options, aside), sources = next(((k, s) for k, s in kinds.items() if k[1]), next(iter(kinds.items())))
-    others = []
-    for key, some in kinds.items():
-        if some is not sources:
-            more = f" and {len(some) - 1} more" if len(some) > 1 else ""
-            others.append(f" | {os.path.basename(some[0])}{more}: {key[0]}")
-    given = [cleaned(path) for path in paths] if len(kinds) == 1 else sources
-    given = given if len(given) <= 3 else given[:3]
-    bare = composed(sources, why, options, "", given, before)
-    room = _LONGEST - _PROGRAM - len(bare)
-    said = ""
-    for other in others:
-        each = max(room // len(others), 0)
-        said += other if len(other) <= each else other[: max(each - 3, 0)] + "..." * (each > 20)
-    head, mark, command = bare.rpartition("; try: ") if options else (bare, "", "")
-    return f"{head}{said}{mark}{command}" if others else composed(sources, why, options, aside, given, before)
+    several = [f"{os.path.basename(s[0])}{_more(s, 1)}: {k[0]}" for k, s in kinds.items() if s is not sources]
+    named = ", ".join(map(os.path.basename, sources[:3])) + _more(sources, 3)
+    if len(refusals) > 1:
+        named = f"{len(refusals)} of {files} files are refused: {named}"
+    alone = len(kinds) == 1 and len(refusals) == files
+    return Refused(sources[0], " | ".join([why, *several]), options, aside if not several else "", named, alone)
+
+
+def _more(sources: Sequence[str], shown: int) -> str:
+    return f" and {len(sources) - shown} more" if len(sources) > shown else ""

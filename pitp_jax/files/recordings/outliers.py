@@ -11,7 +11,6 @@ step of 0.95 s, so that 10 steps are 8 deviations: once in 10^15 samples. A well
 step per sample.
 """
 
-from collections.abc import Collection
 from dataclasses import dataclass
 
 import numpy as np
@@ -89,27 +88,6 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
     limit = y[clipped][0] if clipped.any() else np.nan
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
-
-
-def at_limit(displacement: np.ndarray, limits: Collection[float]) -> tuple[np.ndarray, float]:
-    """Return where the output stays at a limit value known from other records of the sensor, and that value (or nan).
-
-    A sensor has one limit, so a limit found in one record applies to records that cannot show it alone.
-
-    Args:
-        displacement: output, shape (T,); nan where missing.
-        limits: values at which others are clipped, in its unit.
-
-    Returns:
-        True at those samples, shape (T,), and the limit.
-    """
-    for value in {np.nanmax(displacement), np.nanmin(displacement)} & set(limits):
-        bad = np.zeros(len(displacement), dtype=bool)
-        for begin, end in _runs(displacement, _SHORTEST_CLIP // 2):
-            bad[begin:end] = displacement[begin] == value
-        if bad.any() and not bad.all():
-            return bad, float(value)
-    return np.zeros(len(displacement), dtype=bool), float("nan")
 
 
 def _jumps(drive: np.ndarray) -> np.ndarray:

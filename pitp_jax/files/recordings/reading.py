@@ -23,14 +23,12 @@ from ...method.signal.record import Record, Timed, own_column, range_in
 from ...method.signal.sets import check_set
 from ..containers.columns import Loaded, load_columns
 from ..containers.formats import split_suffix
-from ..containers.header import NoTable
-from ..containers.join import proposed_join
 from ..containers.options import FOLDER_FILE as FOLDER_FILE
 from ..containers.options import OPTIONS, ReadOptions, joined_in
 from ..containers.refusal import Refused, together
 from ..containers.robot import is_bag
 from .grid import Gridded, on_grid
-from .outliers import Masked, at_limit, mask_faults
+from .outliers import Masked, mask_faults
 from .plausible import questions, refuse_implausible
 from .remarks import Remark
 from .selection import select_range
@@ -103,7 +101,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     """
     records, refused, files = _attempted(paths, options_of(said))
     if refused:
-        raise BadInput(together(list(refused.values()), files, paths))
+        raise together(list(refused.values()), files)
     check_set(records)
     return tuple(records)
 
@@ -122,7 +120,7 @@ def read_each(
     """
     records, refused, files = _attempted(paths, options_of(reading))
     if not records:
-        raise BadInput(together(list(refused.values()), files, paths))
+        raise together(list(refused.values()), files)
     return tuple(records), {name: str(error) for name, error in refused.items()}
 
 
@@ -166,10 +164,6 @@ def attempted(
             made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
         except BadInput as error:
             refused[name] = error
-    incomplete = refused and not made and all(isinstance(e, Refused | NoTable) for e in refused.values())
-    join = proposed_join(files, options, quantities) if incomplete else None
-    if join is not None:
-        return made, {join.source: join}, 1
     return made, refused, len(files)
 
 
@@ -195,29 +189,7 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
         dt = even[0] if even else float(np.median([groups[k][0].dt for k in uneven]))
         for k in uneven:
             groups[k] = _records(*sources[k], 1 / dt)
-    return _unique(_limited([record for group in groups for record in group])), refused, files
-
-
-def _limited(records: list[Record]) -> list[Record]:
-    """Mask the output also where only other records of the same sensor show the limit at which it clips."""
-    # only where a record's own runs were certain
-    limits = {r.recognised["limit"] for r in records if r.recognised.get("clipped")}
-    return [_clipped_at(record, limits) if limits else record for record in records]
-
-
-def _clipped_at(record: Record, limits: set[float]) -> Record:
-    bad, value = at_limit(record.displacement, limits)
-    if not bad.any():
-        return record
-    count, seen = int(bad.sum()), record.recognised
-    note = f"{from_base(value, record.displacement_unit):.4g} {record.displacement_unit}, as others of the set"
-    remark = Remark("clipped", record.name, count, note)
-    changes = {
-        "clipped": seen["clipped"] + count,
-        "remarks": [*seen["remarks"], f"{record.name}: {remark}"],
-        "findings": [*seen["findings"], remark],
-    }
-    return replace(record, displacement=np.where(bad, np.nan, record.displacement), recognised={**seen, **changes})
+    return _unique([record for group in groups for record in group]), refused, files
 
 
 def _unique(records: list[Record]) -> list[Record]:
@@ -394,7 +366,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     except BadInput as error:
         if rate is None and "--rate" in str(error):
             why = str(error).removeprefix(f"{source}: ")
-            raise Refused(source, why, [*one.options.words(), "--rate", "RATE"]) from None
+            raise Refused(source, why, ["--rate", "RATE"]) from None
         raise
 
 
