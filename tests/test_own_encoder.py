@@ -11,7 +11,7 @@ from played import FEW
 from scipy.signal import lsim
 
 import pitp_jax as pitp
-from pitp_jax.files.export.jaxpr import program
+from pitp_jax.method.numerics.scalar.jaxpr import program
 
 DT = 2e-3
 TIME = DT * np.arange(1500)

@@ -29,13 +29,13 @@ from ...method.model.fitted import Fitted, Origin, fitted_of
 from ...method.model.model import Model
 from ...method.model.programs import in_double
 from ...method.model.units import units_of
+from ...method.numerics.scalar.jaxpr import program
+from ...method.numerics.scalar.scalars import Program
 from ...method.numerics.spline_derivative import derivatives
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
 from .equilibria import stroke
-from .jaxpr import program
 from .pi_gains import PIGains, pi_gains
-from .scalars import Program
 
 SAMPLES = 1000
 _PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: a test vector covers at least these

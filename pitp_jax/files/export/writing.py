@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from .scalars import Loop, Node, Program
+from ...method.numerics.scalar.scalars import Loop, Node, Program
 
 _SHORT = 70  # characters of an expression that may stand within another
 _INFIX = {

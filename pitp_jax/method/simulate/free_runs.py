@@ -14,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from .compiled.kernel import kernel
+
 BLOCK, CHUNK = 256, 512  # runs at once, time steps of a call: few programs, and the working memory
 
 Step = Callable[[Float[Array, " p"], Float[Array, " s"], Float[Array, "..."]], tuple[Float[Array, " s"], Array]]
@@ -50,10 +52,11 @@ def free_runs(
     """
     parameters, start, inputs = (np.asarray(a, np.float64) for a in (parameters, start, inputs))
     column = np.asarray(column, np.int64)
-    return _scanned_runs(step, parameters, start, inputs, column)
+    compiled = kernel(step, parameters, start, inputs)
+    return (compiled or partial(scanned_runs, step))(parameters, start, inputs, column)
 
 
-def _scanned_runs(step: Step, parameters, start, inputs, column) -> Float[np.ndarray, "runs n o"]:
+def scanned_runs(step: Step, parameters, start, inputs, column) -> Float[np.ndarray, "runs n o"]:
     """Compute `free_runs` by `jax.lax.scan`, in blocks of runs."""
     with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
         one = jax.eval_shape(step, *(jnp.asarray(a) for a in (parameters[0], start[0], inputs[0, 0])))[1]

@@ -60,7 +60,7 @@ class Node:
         args: nodes and numbers; of an "item" the block and a place in it.
         place: in the order of creation, in which they can be written.
         truth: whether it is true or false rather than a number.
-        block: of a "matrix" its weights, of a "loop" its `Loop`.
+        block: of a "matrix" its weights (numbers, or `Still` inputs), of a "loop" its `Loop`.
     """
 
     op: str
@@ -78,6 +78,20 @@ class Loop:
     count: int
     known: int
     carry: int
+
+
+@dataclass(frozen=True)
+class Still:
+    """A matrix of weights among the inputs: the place of its first element, its shape, and the steps between places."""
+
+    first: int
+    shape: tuple[int, ...]
+    steps: tuple[int, int]
+
+    def places(self) -> np.ndarray:
+        """Return the number of the input of every element, shape (rows, columns)."""
+        rows, columns = (np.arange(n) * by for n, by in zip(self.shape, self.steps, strict=True))
+        return self.first + rows[:, None] + columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,10 +132,11 @@ class Program:
 
 @dataclass
 class Builder:
-    """A factory of nodes that creates equal nodes only once."""
+    """A factory of nodes that creates equal nodes only once; the first `still` inputs do not change while it runs."""
 
     known: dict = field(default_factory=dict)
     count: int = 0
+    still: int = 0
 
     def node(self, op: str, args: tuple = (), *, truth: bool = False, block: object = None) -> Node:
         """Return the node of an operation: the existing one, or a new one."""

@@ -14,8 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal
 
-from ...common.errors import BadInput
-from .scalars import FOLDED, Builder, Loop, Node, Program
+from ....common.errors import BadInput
+from .scalars import FOLDED, Builder, Loop, Node, Program, Still
 
 _WRITTEN_OUT = 1500  # products of one matrix, above which it is a loop
 _UNROLLED = 4000  # nodes of a loop written out
@@ -23,10 +23,13 @@ _CALLS = ("jit", "pjit", "closed_call", "core_call", "custom_jvp_call", "custom_
 _SAME = ("stop_gradient", "copy", "copy_p", "reduce_precision", "optimization_barrier")
 
 
-def program(function: Callable, *examples) -> Program:
-    """Convert fn(*examples) to a scalar program; its inputs and outputs are all array elements in sequence."""
+def program(function: Callable, *examples, still: int = 0) -> Program:
+    """Convert fn(*examples) to a scalar program; its inputs and outputs are all array elements in sequence.
+
+    `still`: number of first inputs in memory that does not change; a large product with them becomes a loop.
+    """
     closed = jax.make_jaxpr(function)(*examples)
-    make, shapes = Builder(), [v.aval.shape for v in closed.jaxpr.invars]
+    make, shapes = Builder(still=still), [v.aval.shape for v in closed.jaxpr.invars]
     inputs = sum(int(np.prod(s)) for s in shapes)
     outputs = _run(make, closed.jaxpr, closed.consts, _cut(make.inputs(inputs), shapes))
     return Program(inputs, tuple(v for output in outputs for v in output.ravel()))
@@ -223,12 +226,12 @@ def _product(make, params, args, equation):
 
 
 def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """Multiply matrices; a large product of known weights and a vector becomes a loop over a table."""
+    """Multiply matrices; a large product of weights and a vector becomes a loop over a table."""
     if left.size * right.shape[1] > _WRITTEN_OUT:
-        if right.shape[1] == 1 and not _unknown(left):
-            return _array(_table(make, left, right[:, 0]), (len(left), 1))
-        if len(left) == 1 and not _unknown(right):
-            return _array(_table(make, right.T, left[0]), (1, right.shape[1]))
+        if right.shape[1] == 1 and (table := _weights(make, left)) is not None:
+            return _array(_table(make, table, right[:, 0]), (len(left), 1))
+        if len(left) == 1 and (table := _weights(make, right.T)) is not None:
+            return _array(_table(make, table, left[0]), (1, right.shape[1]))
     product = np.empty((len(left), right.shape[1]), object)
     for i, j in np.ndindex(product.shape):
         product[i, j] = make.total([make.make("mul", a, b) for a, b in zip(left[i], right[:, j], strict=True)])
@@ -239,9 +242,20 @@ def _unknown(array: np.ndarray) -> bool:
     return any(isinstance(a, Node) for a in array.ravel())
 
 
-def _table(make: Builder, weights: np.ndarray, vector: np.ndarray) -> list[Node]:
-    node = make.node("matrix", tuple(vector), block=np.asarray(weights.tolist(), np.float64))
-    return make.block(node, len(weights))
+def _weights(make: Builder, matrix: np.ndarray) -> np.ndarray | Still | None:
+    """Return known weights as numbers, weights among the still inputs by their places, and None for others."""
+    if not _unknown(matrix):
+        return np.asarray(matrix.tolist(), np.float64)
+    if not all(isinstance(a, Node) and a.op == "input" and a.args[0] < make.still for a in matrix.ravel()):
+        return None
+    places = np.array([a.args[0] for a in matrix.ravel()]).reshape(matrix.shape)
+    rows, columns = (int(np.diff(places, axis=k).ravel()[:1].sum()) for k in (0, 1))
+    here = Still(int(places[0, 0]), matrix.shape, (rows, columns))
+    return here if np.array_equal(places, here.places()) else None
+
+
+def _table(make: Builder, weights: np.ndarray | Still, vector: np.ndarray) -> list[Node]:
+    return make.block(make.node("matrix", tuple(vector), block=weights), weights.shape[0])
 
 
 def _scattered(make, params, args, equation):

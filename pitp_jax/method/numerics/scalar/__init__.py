@@ -1,0 +1,1 @@
+"""JAX programs as scalar expressions, for whoever prints them in another language."""
