@@ -1,6 +1,7 @@
 """The feedforward against closed forms and an independent integration."""
 
 import re
+from dataclasses import replace
 
 import equinox as eqx
 import jax
@@ -11,6 +12,7 @@ from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
 import pitp_jax as pitp
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
+from pitp_jax.files.export.steps import inverse as inverse_sample
 from pitp_jax.method.invert.equation import invert_path
 from pitp_jax.method.invert.target import last_digit, without_rounding
 from pitp_jax.method.model.coordinate import Zero
@@ -128,6 +130,27 @@ def test_a_target_that_rests_is_feasible(actuator):
     found = feedforward(actuator, Target(TIME, x))
     assert not found.infeasible.any()
     assert not found.saturated.any()
+
+
+@pytest.mark.parametrize(("needed", "flagged"), [(-1e-9, False), (-5e-4, False), (-5e-3, True)])
+def test_rest_is_feasible_within_the_force_of_the_sensors_noise(nonlinear, bounded, needed, flagged):
+    """The offset token of a trained model at rest has either sign; noise of 1 um bears 1e-3 of the force."""
+    model = bounded(standing_at_zero(nonlinear(2, key=3)))
+    bias = model.encoder.past.readout.bias + needed
+    model = eqx.tree_at(lambda m: m.encoder.past.readout.bias, model, bias)
+    model = replace(model, domain=replace(model.domain, noise=1e-6))
+    still = np.zeros(400)
+    plan = feedforward(model, Target(TIME[:400], still))
+    step = inverse_sample(model, DT)
+    masks = {
+        "closed form": pitp.inverse(model, still)[1],
+        "discrete": pitp.inverse(model, still, kind="discrete")[1],
+        "plan": plan.infeasible[plan.target],
+        "stream": next(iter(pitp.invert_stream(model, [still], DT))).infeasible,
+        "export": [step.run(step.start(jnp.zeros(()), jnp.zeros(())), jnp.zeros(3))[1][1]],
+    }
+    assert {name: float(np.mean(mask)) for name, mask in masks.items()} == dict.fromkeys(masks, float(flagged))
+    assert not plan.saturated.any()
 
 
 def test_the_linear_map_pulls_both_ways(linear, bounded):

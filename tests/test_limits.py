@@ -64,11 +64,23 @@ def test_a_jump_of_acceleration_at_the_start_is_led_in(actuator):
 def test_a_cut_names_the_origin_of_its_slew_limit(actuator):
     """The model's recordings where the user gave no limit; only the value otherwise."""
     default, given = (limits_of(actuator, None, slew, None)[0] for slew in (None, 4e4))
-    (line,), (shorter,) = (on_reach(0.0, 0.5, limits) for limits in (default, given))
+    between, cut = np.full(10, 700.0), np.arange(10) < 5
+    (line,), (shorter,) = (on_reach(0.0, between, cut, limits) for limits in (default, given))
     assert "5e+04 V/s (the largest of the model's recordings; --max-slew sets another); ask for" in line
     assert "4e+04 V/s; ask for" in shorter
     assert default.text == "0 to 2000 V, at most 5e+04 V/s (voltage and rate of the model's recordings)"
     assert given.text == "0 to 2000 V, at most 4e+04 V/s (voltage of the model's recordings)"
+
+
+@pytest.mark.parametrize(("low", "high", "named"), [
+    (0.5, 0.0, "the lower limit 0 V; ask"), (0.0, 0.5, "by 2000 V; ask"), (0.3, 0.3, "the lower limit 0 V and 2000 V;"),
+])  # fmt: skip
+def test_a_cut_names_only_the_limits_that_are_met(actuator, low, high, named):
+    place = np.linspace(0, 1, 100, endpoint=False)
+    at_low, at_high = place < low, place >= 1 - high
+    (line,) = on_reach(0.0, np.select([at_low, at_high], [0.0, 2e3], 700.0), at_low | at_high,
+                       limits_of(actuator, None, None, None)[0])  # fmt: skip
+    assert named in line and "V/s" not in line
 
 
 def test_the_linear_maps_limit_holds_both_ways(linear, bounded):

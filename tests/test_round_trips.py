@@ -27,7 +27,7 @@ from hypothesis import strategies as st
 import pitp_jax as pitp
 from pitp_jax.method.effects import effect
 
-SAMPLES, HIGH, TRAVEL = 400, 1e3, 1e-3  # V, m
+SAMPLES, HIGH, TRAVEL, NOISE = 400, 1e3, 1e-3, 3e-6  # V, m, m
 EDGE = 40  # samples at both ends, where the spline's boundary conditions show
 KINDS: tuple[Literal["discrete", "closed_form"], ...] = ("discrete", "closed_form")
 FRACTION = st.floats(0.0, 1.0)
@@ -81,7 +81,8 @@ def model_of(linear, nonlinear, shake, double):
             fresh = pitp.PaperEncoder(order + 1, order + 1, width=4, depth=1, key=jax.random.key(0))
             part = shake(fresh, size, drawn["seed"])
             model = replace(model, encoder=part, memory=pitp.ElapsedTime(SAMPLES * dt))
-        return double(replace(model, effects=EFFECTS[effects](dt, *drawn["parts"])))
+        domain = replace(model.domain, noise=NOISE)
+        return double(replace(model, effects=EFFECTS[effects](dt, *drawn["parts"]), domain=domain))
 
     return make
 
@@ -105,6 +106,8 @@ def check_round_trips(model, u, discrete, closed_form):
         assert np.abs(error).max() < volts, (kind, "V")
         assert np.abs(np.asarray(again) - x).max() < metres * max(np.ptp(x) / TRAVEL, 1), (kind, "m")
         assert not np.asarray(unreachable)[:, inner][u[:, inner] > 0.1 * HIGH].any()
+        at_zero_volts = pitp.free_run(model, np.zeros(SAMPLES))
+        assert not np.asarray(pitp.inverse(model, at_zero_volts, kind=kind)[1])[inner].any(), (kind, "rest")
 
 
 def undo_each_other(model_of, case, examples):

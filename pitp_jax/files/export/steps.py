@@ -24,6 +24,7 @@ from jaxtyping import Array, Float
 from ...common.quantity import Units
 from ...method.effects.effect import Effect
 from ...method.effects.kernels import shifted
+from ...method.invert.equation import tolerance
 from ...method.invert.one_sample import film_after, film_held, memory_after
 from ...method.model.coordinate import from_model, to_model
 from ...method.model.model import Model
@@ -35,7 +36,6 @@ from ...method.simulate.prediction import at_rate
 
 _HUGE = 1e3  # of the training force: replaces an infeasible force, as in `method.invert.equation`
 _BESIDE = 8  # samples of the parabola on either side: four slopes, each of which uses two samples on either side
-_ROUNDING = 1e-6  # of the model's unit of force
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ def inverse(model: Model, dt: float) -> Step:
         film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)
         films = jnp.append(films[1:], film)
         drive, levels, passes = _undone(model, films, levels, begun > 0, dt)
-        never = model.input_map.infeasible(force + _ROUNDING) | ~passes
+        never = model.input_map.infeasible(force + tolerance(model)) | ~passes
         return (x[0], memory, states, films, levels, rows, jnp.ones(())), (drive, never)
 
     return Step(start, run, n + 1)

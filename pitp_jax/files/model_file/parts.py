@@ -283,7 +283,7 @@ def _encoder(described: dict, own: Any) -> Any:
 
 def build(header: dict, own: Any = None) -> Model:
     """Build the model of a header with placeholder arrays; `own`: the user's module in its encoder."""
-    scales = header["scales"]
+    scales, noise = header["scales"], float(header["origin"]["noise"])  # files of 0.2.0 hold it there only
     if header["hold"] not in ("foh", "zoh", "bandlimited") or not 1 <= int(header["substeps"]) <= LARGEST:
         raise ValueError(f"hold {header['hold']!r}, substeps {header['substeps']!r}")
     model = Model(
@@ -295,7 +295,7 @@ def build(header: dict, own: Any = None) -> Model:
         scales=Scales(**scales),
         hold=header["hold"],
         substeps=int(header["substeps"]),
-        domain=Domain(**header["domain"]),
+        domain=Domain(**{"noise": noise if np.isfinite(noise) else 0.0, **header["domain"]}),
         drive=_part(DRIVES, header["drive"]),
         effects=tuple(_part(EFFECTS, effect) for effect in header["effects"]),
     )

@@ -48,6 +48,7 @@ def header_problems(header: dict) -> list[str]:
         f"slew {domain['slew']!r}": domain["slew"] >= 0,
         f"region {domain['region']!r}": all(a <= b for a, b in domain["region"]),
         f"clock {domain['clock']!r}": math.isfinite(domain["clock"]),
+        f"noise {domain.get('noise')!r}": 0 <= domain.get("noise", 0.0) < math.inf,
         f"unit {origin['displacement_unit']!r}": origin["displacement_unit"] in OUTPUT_UNITS,
         f"unit {origin['voltage_unit']!r}": origin["voltage_unit"] in INPUT_UNITS,
     }

@@ -407,7 +407,7 @@ def _to_model(
         output=output,
         hold=chosen.hold,
         substeps=substeps(a, dt),
-        domain=Domain(dt, (np.inf, -np.inf), 0.0).driven_by(records),
+        domain=Domain(dt, (np.inf, -np.inf), 0.0, noise=noise).driven_by(records),
     )
     if chosen.delay > 0:
         model = replace(model, effects=(effect("delay", time=chosen.delay),))

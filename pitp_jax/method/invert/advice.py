@@ -77,7 +77,7 @@ def advice(found: Found) -> tuple[str, ...]:
         )
     lines += tuple(filter(None, [target_words(found.fitted, found.unseen)]))
     lines += on_start(float(found.best.voltage[own.start]), own.start * motion.dt, limits)
-    lines += on_reach(found.cut.infeasible[own].mean(), found.cut.saturated[own].mean(), limits)
+    lines += on_reach(found.cut.infeasible[own].mean(), found.cut.voltage[own], found.cut.saturated[own], limits)
     lines += on_stroke(motion.wanted, checked.stroke, limits)
     if np.isnan(checked.percent):
         lines += (
@@ -159,18 +159,33 @@ def on_smoothing(motion: Motion, checked: Checked, units: Units) -> tuple[str, .
     )
 
 
-def on_reach(infeasible: float, saturated: float, limits: Limits) -> tuple[str, ...]:
-    """Return warnings if over 1 % of the target needs a force that no voltage gives, or is clipped by a limit."""
+def on_reach(infeasible: float, voltage: np.ndarray, saturated: np.ndarray, limits: Limits) -> tuple[str, ...]:
+    """Return warnings if over 1 % of the target needs a force that no voltage gives, or is clipped by a limit.
+
+    Args:
+        infeasible: fraction of the target's samples that need such a force.
+        voltage: within the limits, V.
+        saturated: True where it differs from the requested one.
+        limits: only those that clip over 1 % of the target are named.
+    """
     lines = ()
     if infeasible > _WORTH_A_LINE:
         lines += (
             f"{100 * infeasible:.0f} % of the target needs a force that no {limits.units.input_word} produces; lower "
             "its frequency or amplitude, or shift its mean in the direction in which the actuator extends",
         )
-    if saturated > _WORTH_A_LINE:
+    if saturated.mean() > _WORTH_A_LINE:
+        shown, near = limits.units.input, 1e-6 * (limits.high - limits.low)
+        below, above = voltage <= limits.low + near, voltage >= limits.high - near
+        by = {
+            f"the lower limit {shown.text(limits.low)}": below,
+            shown.text(limits.high): above,
+            limits.slew_text: ~below & ~above,
+        }
+        met = [name for name, where in by.items() if (saturated & where).mean() > _WORTH_A_LINE / len(by)]
         lines += (
-            f"{100 * saturated:.0f} % of the target's {limits.units.input_word} is clipped by {limits.range_text} or "
-            f"{limits.slew_text}; ask for a smaller motion, or raise the limit if the rig allows it",
+            f"{100 * saturated.mean():.0f} % of the target's {limits.units.input_word} is clipped by "
+            f"{' and '.join(met)}; ask for a smaller motion, or raise the limit if the rig allows it",
         )
     return lines
 

@@ -17,7 +17,7 @@ from ..model.programs import jit
 from ..simulate import ports
 from ..simulate.decoder import film_voltage
 
-_ROUNDING = 1e-6  # of the largest force
+_ROUNDING = 1e-6  # of the model's unit of force
 _HUGE = 1e3  # of the training force: replaces an infeasible force
 
 
@@ -62,12 +62,15 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
     return force, ports.played(model, film, dt), features
 
 
+def tolerance(model: Model) -> Float[Array, ""]:
+    """Return the scaled force that moves the settled actuator by the sensor's noise; below it no force is missed."""
+    return jnp.maximum(model.coefficients[0] * (model.domain.noise / model.scales.state[0]), _ROUNDING)
+
+
 @jit
 def unreachable(model: Model, force: Float[Array, " time"], dt: float) -> Bool[Array, " time"]:
     """Return True where no voltage gives this scaled force, or where an effect on the voltage excludes it."""
-    # an actuator at rest needs a force of zero within rounding
-    slack = _ROUNDING * jnp.abs(jnp.where(jnp.isfinite(force), force, 0.0)).max(initial=0.0)
-    never = model.input_map.infeasible(force + slack)
+    never = model.input_map.infeasible(force + tolerance(model))
     return never | ports.beyond(model, film_voltage(model, force), dt) if model.effects else never
 
 

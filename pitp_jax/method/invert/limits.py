@@ -36,12 +36,6 @@ class Limits:
         return 0.01 * (self.high - self.low)
 
     @property
-    def range_text(self) -> str:
-        """Describe the voltage range; only its upper end if the lower one is zero."""
-        shown = self.units.input
-        return shown.text(self.high) if self.low == 0 else shown.range_text(self.low, self.high)
-
-    @property
     def slew_text(self) -> str:
         """Describe the slew limit, with its origin if the user did not give it."""
         origin = f" (the largest of the model's recordings; {self.units.max_rate} sets another)"

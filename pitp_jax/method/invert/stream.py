@@ -20,12 +20,11 @@ from ..model.coordinate import to_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..numerics.spline_derivative import derivatives, inner, reach
-from .equation import force_and_voltage, scaled_equation
+from .equation import force_and_voltage, scaled_equation, tolerance
 
 _WINDOW = 1 << 17  # rows of a window
 _SMALLEST = 16
 _AHEAD = 2  # rows that `drive.lead` looks ahead and back
-_ROUNDING = 1e-6  # of the model's unit of force
 
 
 @dataclass(frozen=True)
@@ -105,7 +104,7 @@ def _whole(blocks) -> Iterator[np.ndarray]:
 
 def _piece(model: Model, inverted, kept: slice) -> Piece:
     force, voltage, _ = inverted
-    return Piece(np.asarray(voltage)[kept], np.asarray(model.input_map.infeasible(force + _ROUNDING))[kept])
+    return Piece(np.asarray(voltage)[kept], np.asarray(model.input_map.infeasible(force + tolerance(model)))[kept])
 
 
 def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:

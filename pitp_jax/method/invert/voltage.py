@@ -16,7 +16,7 @@ import numpy as np
 
 from ..numerics.spline_derivative import fast_derivatives
 from ..simulate import ports
-from .equation import invert_path, scaled_equation, unreachable
+from .equation import invert_path, scaled_equation, tolerance, unreachable
 from .lead_in import ramp_down
 from .limits import Limits, limit_slew, travel
 from .motion import Motion
@@ -47,7 +47,10 @@ def equation_voltage(motion: Motion, limits: Limits, reference: np.ndarray | Non
         wanted = np.asarray(ports.moves(model, jnp.asarray(wanted / scale), dt), np.float64) * scale
     equation = scaled_equation(model, fast_derivatives(wanted, dt, model.order))
     force, voltage, features = invert_path(model, equation, dt, jnp.asarray(motion.age, equation.dtype))
-    u, saturated = limit_slew(np.asarray(voltage, np.float64), limits, dt)
+    asked = np.asarray(voltage, np.float64)
+    u, saturated = limit_slew(asked, limits, dt)
+    missing = model.input_map.force(asked) - model.input_map.force(u)
+    saturated &= np.abs(missing) > float(tolerance(model)) * model.scales.force
     full = np.append(u, ramp_down(u[-1], limits, motion.settling[1], dt))
     # the ramp counts only for the stroke
     played = play(model, full if np.isfinite(limits.farthest) else u, dt, motion.start)
@@ -77,6 +80,8 @@ def best_voltage(motion: Motion, limits: Limits, cut: Planned, shots: int) -> Pl
 
 def _nearest(motion: Motion, limits: Limits, cut: Planned, best: Planned, most: float) -> Played:
     """Search the nearest motion with a total variation of at most `most` (V); return it only if it is better."""
+    if most == 0:  # eq. 13 clipped at the limits is constant, and so is every voltage of no more total variation
+        return best
     wish, near = _wish(motion, limits, best.voltage, _HEADROOM * most), best
     for _ in range(_TRIES):
         near = _kept(nearest_motion(motion.model, wish, best.voltage), wish, motion, limits)

@@ -24,6 +24,7 @@ class Domain(Constants):
         slew: highest slew of the voltage, V/s.
         region: lowest and highest value of every feature (S then memory, scaled); no row without training.
         clock: time of the records' clock at the start of their session, s; 0 unless it is absolute time.
+        noise: sensor noise (rms, base unit); 0 where it is unknown.
     """
 
     dt: float = eqx.field(converter=number, static=True)
@@ -31,6 +32,7 @@ class Domain(Constants):
     slew: float = eqx.field(converter=number, default=np.inf)
     region: tuple[tuple[float, float], ...] = eqx.field(converter=numbers, default=())
     clock: float = eqx.field(converter=number, default=0.0)
+    noise: float = eqx.field(converter=number, default=0.0)
 
     def age(self, time: float) -> float:
         """Convert a time of the records' clock to the time since the session began (s); 0 for another clock."""
