@@ -106,6 +106,20 @@ def test_the_same_actuator_is_unchanged_whatever_the_sensor_shows(actuator, sens
     assert found.verdict == "unchanged" and found.model.model is actuator and not found.changed
 
 
+@pytest.mark.parametrize(("level", "error", "verdict"), [
+    (6.0, 5.0, "unchanged"), (6.0, 13.0, "retrain"), (6.0, 20.0, "retrain"), (14.0, 20.0, "retrain"),
+])  # fmt: skip
+def test_a_model_that_misses_the_recording_is_not_unchanged(actuator, level, error, verdict):
+    """A linear model of an error of several % finds no certain factor in what is not of its kind: it is retrained."""
+    record = measured(actuator)
+    beside = np.sign(np.sin(2 * np.pi * 0.9 * TIME)) * error / 100 * np.ptp(record.displacement)
+    given = Fitted(actuator.model if isinstance(actuator, Fitted) else actuator, Origin(level=level))
+    found = pitp.adapt(given, replace(record, displacement=record.displacement + np.where(TIME > 0.3, beside, 0)))
+    assert found.verdict == verdict and (found.before > min(1.5 * level, 10)) == (verdict == "retrain")
+    assert found.as_json()["advice"] == ([found.advice] if verdict == "retrain" else [])
+    assert verdict == "unchanged" or "pitp diagnose" in found.advice
+
+
 def test_the_same_actuator_from_a_held_start_is_unchanged_and_a_softer_one_is_not(actuator):
     held = np.where(TIME < 0.3, U[300], U)
 

@@ -36,7 +36,7 @@ def test_unchanged_is_written_bit_for_bit(days, call, tmp_path):
     code, text, _ = call("adapt", days / "m", days / "same.csv", "--out", tmp_path / "a", "--json", tmp_path / "j")
     told = json.loads((tmp_path / "j").read_text())
     assert code == 0 and text.startswith("unchanged") and told["verdict"] == "unchanged" and told["changed"] == {}
-    assert set(told) == {"written_by", "verdict", "changed", "before", "after", "heldout"}
+    assert set(told) == {"written_by", "verdict", "changed", "before", "after", "heldout", "advice"}
     assert (tmp_path / "a").read_bytes() == (days / "m").read_bytes()
 
 

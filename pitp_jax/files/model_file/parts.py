@@ -234,7 +234,7 @@ def _bands(stored: dict | None) -> OutOfFold | None:
 def origin_of(header: dict) -> Origin:
     """Restore the origin from a header, with control characters removed from its texts."""
     stored = _without_control(header["origin"])
-    return Origin(
+    origin = Origin(
         displacement_unit=str(stored["displacement_unit"]),
         voltage_unit=str(stored["voltage_unit"]),
         covariance=np.asarray(stored["covariance"], float).reshape(2 * (len(stored["covariance"]),)),
@@ -253,6 +253,9 @@ def origin_of(header: dict) -> Origin:
         adapted=tuple(map(dict, stored["adapted"])),
         lineage=tuple(map(dict, stored["lineage"])),
     )
+    # a diagnosis of 0.2.0 kept the standard errors of the nominal in a model of another order
+    same = len(origin.stderr) in (0, header["order"] + 1)
+    return origin if same else origin.of_other_coefficients()
 
 
 def _table(stored: dict, name: str) -> Table:

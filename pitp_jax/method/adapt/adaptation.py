@@ -3,8 +3,8 @@
     offset, direction, initial state -> all factors by least squares -> a subset of them by evidence
     -> those alone, on the first half of the recording: kept if the held-out second half confirms them
 
-`unchanged`: the model explains the recording as well as its training records, or no factor improves the fit
-significantly. `retrain`: the residual is far above that level, so something changed that no factor describes.
+`unchanged`: the model explains the recording about as well as its training records, and no factor improves the fit
+significantly. `retrain`: the residual is above that level, so something changed that no factor describes.
 """
 
 from collections.abc import Sequence
@@ -30,6 +30,8 @@ from .free_runs import Fit, Problem, Session, session
 Verdict = Literal["unchanged", "adapted", "retrain"]
 _KEPT = 0.95  # largest fraction of its error on the held-out half after a real change
 _FAR = 3.0  # times the model's own error level; a larger remaining error means another actuator
+_SAME = 1.5  # times its own level: the error of an unchanged actuator under another excitation
+_BLIND = 10.0  # % of range: a model with this error does not show which of its parts changed
 _SURE = 0.25  # fraction of its level below which a model's own error is unknown
 _UNKNOWN = 1.0  # % of range, the level of a model without a stated error
 _MOVES = 0.2  # spread of a half relative to the whole below which it proves nothing
@@ -85,7 +87,7 @@ class Adaptation(Shown):
         """Return the adaptation as the dict of `pitp adapt --json`."""
         rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
         values = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
-        return {**values, "heldout": self.heldout}
+        return {**values, "heldout": self.heldout, "advice": [self.advice] if self.advice else []}
 
 
 def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptation:
@@ -149,7 +151,7 @@ def _verdict(model, new, changed, before: float, after: float | None, heldout: b
         verdict, model, remaining = "adapted", new, after
     else:
         changed = {}
-    if remaining > _FAR * level:
+    if remaining > (_FAR * level if verdict == "adapted" else min(_SAME * level, _BLIND)):
         return Adaptation(model, "retrain", changed, before, remaining, heldout, level, _ADVICE)
     return Adaptation(model, verdict, changed, before, remaining, heldout, level)
 
@@ -206,9 +208,7 @@ def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Rec
     rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
     # the covariance was of the old coefficients, and the misfit of the old records
     origin = replace(
-        fitted.origin,
-        covariance=np.zeros((0, 0)),
-        stderr=(),
+        fitted.origin.of_other_coefficients(),
         misfit=float("inf"),
         adapted=(*fitted.origin.adapted, {"records": [r.name for r in records], "changed": rows}),
     )

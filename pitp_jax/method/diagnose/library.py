@@ -374,7 +374,7 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     simulated = tuple(size[0] * np.cumprod([1.0, *rates])), force
     added = [(in_scales(e, simulated, (state, force)), names) for e, names in effects_of(slots, scale)]
     whole = replace(plain, effects=tuple(e for e, _ in added))
-    return cast(Model, Fitted(whole, fitted_of(model).origin)), added
+    return cast(Model, Fitted(whole, fitted_of(model).origin.of_other_coefficients())), added
 
 
 def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:

@@ -56,7 +56,8 @@ class Fitted:
 
     def changed(self, factors: np.ndarray) -> "Fitted":
         """Return the model with its nominal coefficients multiplied by these factors, shape (n + 1,)."""
-        return Fitted(self.model.changed(factors), self.origin)
+        origin = self.origin if np.all(np.asarray(factors) == 1) else self.origin.of_other_coefficients()
+        return Fitted(self.model.changed(factors), origin)
 
 
 # A Fitted must pass isinstance(..., pitp.Model). Equinox forbids `Model.register` to exclude classes that do not derive

@@ -1,6 +1,6 @@
 """The origin of a model: its data and history as typed fields, which no compiled program contains."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -63,3 +63,7 @@ class Origin:
     excited_input: Table = ()
     excited_output: Table = ()
     errors: Table = ()
+
+    def of_other_coefficients(self) -> "Origin":
+        """Return the origin without the standard errors, which belong to the coefficients as identified."""
+        return replace(self, covariance=np.zeros((0, 0)), stderr=())
