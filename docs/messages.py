@@ -37,7 +37,7 @@ TASKS = {
         "`pitp COMMAND --help` lists the options; [files and commands](contract.md) explains them.",
     ),
     "Check, identify and fit": (
-        ("application/check", "method/identify", "method/train", "method/structure"),
+        ("application/check", "method/identify", "method/train"),
         "[Which recordings](which_recordings.md) shows what a model needs.",
     ),
     "Plan": (("application/plan",), "[Which recordings](which_recordings.md) shows a plan."),

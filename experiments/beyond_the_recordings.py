@@ -4,14 +4,13 @@
     cone100, roll  upper half of the protocol's frequencies from the lower half            nrmse, % of std
     silverbox      the whole arrow from the multisine                                      rms, mV
 
-    identified | encoder (`fit`, default) | physical (effects, refitted) | both | auto | GRU | lumped model
+    identified | encoder (`fit`) | physical (`diagnose --refit-nominal`) | both (`fit` from it) | GRU | lumped model
 
     python experiments/beyond_the_recordings.py [--data ../shared] [--cells 10] [--rows hasel7] [--every 4] [--order 2]
 
 Every cell (row, model, seed) is added to `beyond_the_recordings.json` when it is done; one that is in this file already
 is skipped. `--left-out` scores every training recording by models of the others instead. `--every 4` takes every fourth
-sample of a HASEL, `--order 2` fixes the order of the nominal model. `auto` is `fit --structure auto`; its cell also
-holds the errors on the excitations left out and the choice.
+sample of a HASEL, `--order 2` fixes the order of the nominal model.
 """
 
 import argparse
@@ -28,12 +27,11 @@ import numpy as np
 
 import pitp_jax as pitp
 from pitp_jax.application.demo.protocol import kind, measure
-from pitp_jax.method.identify.identification import structure_of, trains_from_order_two
-from pitp_jax.method.structure.choice import Choice, Fitting, choose, impose
+from pitp_jax.method.identify.identification import trains_from_order_two
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
-MODELS = ("identified", "encoder", "physical", "both", "auto", "gru", "lumped")
+MODELS = ("identified", "encoder", "physical", "both", "gru", "lumped")
 SEEDLESS = ("identified", "physical")
 HASEL = {
     "hasel": (("steps", "sine_03Hz", "sine_07Hz"), ("sine_01Hz", "sine_11Hz")),
@@ -71,9 +69,6 @@ def fitted(model: str, records: Sequence, row: str, seed: int, options) -> tuple
     nominal = found.model
     key = jax.random.key(seed)
 
-    def identify(some: Sequence):
-        return pitp.identify(some, input_map=input_map, **structure_of(nominal)).model
-
     if model in ("gru", "lumped"):
         from benchmarks.peers import lumped, recurrent
 
@@ -81,20 +76,12 @@ def fitted(model: str, records: Sequence, row: str, seed: int, options) -> tuple
             return recurrent.fit(nominal, records, options.seconds, key, cell="gru"), {}
         return lumped.fit(nominal, records, options.seconds, key), {}
     known: dict = {"order": nominal.order}
-    if model != "identified":
-        how = Fitting(nominal, identify, pitp.Settings(), key)
-        made = _structured(model, how, records)
-        nominal = made.training.model
-        known |= {"structure": made.structure, "reason": made.reason, "left_out": made.errors,
-                  "effects": [e.name for e in nominal.effects]}  # fmt: skip
-    return lambda record: pitp.predict(nominal, [record])[0].displacement, known
-
-
-def _structured(model: str, how: Fitting, records: Sequence) -> Choice:
     if model in ("physical", "both"):
-        return impose(model, how, records)
-    trained = pitp.train(how.nominal, records, key=how.key)
-    return choose(how, records, trained) if model == "auto" else Choice(model, "", trained)
+        nominal = pitp.diagnose(nominal, records, refit_nominal=True).model
+        known["effects"] = [e.name for e in nominal.effects]
+    if model in ("encoder", "both"):
+        nominal = pitp.train(nominal, records, key=key).model
+    return lambda record: pitp.predict(nominal, [record])[0].displacement, known
 
 
 def error(predicted, record, row: str) -> float:

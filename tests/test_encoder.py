@@ -204,3 +204,17 @@ def test_dropout_needs_a_key(make):
     first, second = (np.asarray(logits(jax.random.key(k))) for k in (1, 2))
     assert not np.array_equal(first, second)
     np.testing.assert_array_equal(logits(None), logits(None))
+
+
+def test_corrections_of_a_remainder_fade_outside_the_trained_region(shake):
+    """Exactly the plain encoder inside, exactly the nominal beyond twice the region, monotonous between."""
+    bounds = np.array([[-2.0, -4.0, -1e6], [2.0, 4.0, 1e6]])
+    plain, held = (
+        shake(CompactEncoder(2, 1, width=4, frugal=True, remainder=r, bounds=bounds, key=KEY), 0.5, 0)
+        for r in (False, True)
+    )
+    # inside; halfway in both coordinates, s = 1/2 each; outside in one
+    points = jnp.array([[0.9, -1.8, 0.3], [1.5, 3.0, 0.3], [0.2, 4.1, 0.3]])
+    whole, faded = (np.asarray(eqx.filter_jit(jax.vmap(e))(points)) for e in (plain, held))
+    np.testing.assert_allclose(faded, np.array([[1.0], [0.25], [0.0]]) * whole, rtol=1e-5)
+    assert (np.abs(whole).max(1) > 0.01).all()

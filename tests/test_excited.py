@@ -12,7 +12,7 @@ from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.input_map import LinearInput
 from pitp_jax.method.model.model import Output, linear_model
 from pitp_jax.method.model.origin import Origin
-from pitp_jax.method.signal.excited import beyond, tabulate, unexcited
+from pitp_jax.method.signal.excited import beyond, distinct, tabulate, unexcited
 
 DT, RESONANCE = 1e-3, 5.0
 TIME = np.arange(10_000) * DT
@@ -146,3 +146,11 @@ def test_table_is_kept_in_files_and_older_files_load(fitted, tmp_path):
         del header["origin"][name]
     assert header_problems({**header, "leaves": []}) == []
     assert origin_of(header).excited_input == ()
+
+
+def test_repetitions_are_one_excitation_and_other_frequencies_or_amplitudes_are_not():
+    rng = np.random.default_rng(1)
+    noisy = [sine(3.0) + 0.02 * rng.standard_normal(len(TIME)) for _ in range(2)]
+    white = [rng.standard_normal(len(TIME)) for _ in range(2)]
+    signals = [noisy[0], sine(3.0, 2.0), white[0], noisy[1], sine(4.5), white[1], np.zeros(len(TIME))]
+    assert distinct(signals, DT) == ((0, 3), (1,), (2, 5), (4,), (6,))

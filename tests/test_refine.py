@@ -24,7 +24,6 @@ from pitp_jax.method.simulate.prediction import predict
 from pitp_jax.method.train import refine as refining
 from pitp_jax.method.train.dataset import build_dataset
 from pitp_jax.method.train.refine import lower_bound, refine
-from pitp_jax.method.train.shapes import Shapes
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
 TIME = np.arange(SAMPLES) * DT
@@ -302,25 +301,6 @@ def test_one_short_record_does_not_shorten_the_windows(plant, start):
     more = replace(data, features=(*data.features, data.features[1][:64]), valid=(*data.valid, data.valid[1][:64]))
     among = refining._windows(model, more, [*plant[1], short])
     assert among.voltage.shape == refining._windows(model, data, plant[1]).voltage.shape
-
-
-def test_windows_of_another_training_keep_their_shape_and_the_weight_of_each_record(plant, start, linear):
-    """A window that now starts in a gap is a copy of a valid one and has no weight."""
-    model, data = start
-    own = refining._windows(model, data, plant[1], 1.0)
-    samples = len(data.equation.force)
-    shapes = Shapes(1, 0.2, samples + 7, data.valid, False)
-    faster = eqx.tree_at(lambda m: m.coefficients, model, model.coefficients * jnp.array([4.0, 2.0, 1.0]))
-    lost = tuple(v & (np.arange(len(v)) >= 300) for v in data.valid)
-    assert refining._windows(faster, data, plant[1], 1.0).target.shape != own.target.shape
-    runs = refining._windows(faster, replace(data, valid=lost), plant[1], 1.0, shapes)
-    assert runs.target.shape == own.target.shape
-    counts = np.asarray(runs.weight).max(1) > 0
-    assert 0 < counts.sum() < counts.size
-    np.testing.assert_array_equal(runs.target[~counts], runs.target[np.argmax(counts)][None].repeat((~counts).sum(), 0))
-    assert float(runs.weight.sum()) == pytest.approx(float(own.weight.sum()), rel=0.1)
-    force = np.asarray(data.equation.force)
-    np.testing.assert_array_equal(shapes.filled(data.equation).force, np.append(force, force[:7]))
 
 
 @pytest.mark.parametrize(("ring", "lags"), [((), 2), ((60.0, 0.1), 2)])

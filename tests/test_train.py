@@ -103,19 +103,6 @@ def test_few_records_behind_a_square_get_a_frugal_encoder(plant):
     assert firmness_of(replace(TINY, firmness=0.5), few, 3) == 0.5
 
 
-@pytest.mark.slow
-def test_a_training_with_the_shapes_of_another_compiles_nothing_of_its_own(plant, linear, caplog):
-    """Another nominal model and other recordings, of which one is short and padded with gaps."""
-    settings = replace(QUICK, refine_steps=1, starts=1)
-    shapes = train(plant[0], plant[1], settings=settings, key=KEY).shapes
-    first, second, _ = plant[1]
-    short = replace(second, displacement=np.where(TIME < 1.5, second.displacement, np.nan))
-    with jax.log_compiles():
-        train(linear(2, 6.2, 0.1, dt=DT), [second, first, short], settings=settings, shapes=shapes, key=KEY)
-    compiled = {name for name in ("run_slopes", "run_errors", "_epoch", "free_runs") if f"jit({name})" in caplog.text}
-    assert not compiled
-
-
 @pytest.mark.exhaustive
 def test_a_mesh_of_one_trains_the_same_model(plant):
     """What it shares among devices are its `FreeRuns`, tested on eight in `test_shard`."""

@@ -14,7 +14,6 @@ from pitp_jax.application.commands.console import ProgressBar, say
 from pitp_jax.common.errors import BadInput, ComputationFailed
 from pitp_jax.files.model_file import model_file
 from pitp_jax.method.model.encoder import CompactEncoder
-from pitp_jax.method.structure.choice import Choice
 from pitp_jax.method.train import training
 from pitp_jax.method.train.cross_validation import HeldOut
 from pitp_jax.method.train.settings import PARTS, PRESETS
@@ -129,34 +128,6 @@ def test_errors_of_every_record(call, bench, tmp_path, trainer, monkeypatch):
     assert told["worse_than_nominal"] == ["sine4"] and told["problems"] == ["not converged"]
     kept = pitp.load(tmp_path / "model").origin.training
     assert kept is not None and kept["left_out_errors"] == {"sine2": 0.4, "sine4": 7.0}
-
-
-def test_a_chosen_structure_is_reported_with_its_errors(call, bench, tmp_path, trainer, monkeypatch):
-    """`auto` prints and writes the choice, and keeps the errors left out for `predict`; `encoder` compares nothing."""
-
-    def choose(how, records, encoder):
-        errors = {"physical": 2.0, "encoder": 8.0}  # networks beside the effects were not compared
-        held_out = HeldOut("sine2", 0.3, 1.5), HeldOut("sine4", 0.5, 2.5)
-        return Choice("physical", "lowest error on 2 excitations left out", encoder, errors, held_out)
-
-    monkeypatch.setattr("pitp_jax.application.commands.fit.choose", choose)
-    options = ["--nominal", bench / "nominal", "--json", tmp_path / "j"]
-    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "model", *options, "--structure", "auto")
-    assert code == 0 and "physical 2 %, encoder 8 %" in text and "structure: physical (lowest error" in text
-    told = json.loads((tmp_path / "j").read_text())
-    assert (told["structure"], told["reason"]) == ("physical", "lowest error on 2 excitations left out")
-    assert told["structure_errors"] == {"physical": 2.0, "encoder": 8.0, "both": None}
-    kept = pitp.load(tmp_path / "model").origin.training
-    assert kept is not None and kept["left_out_errors"] == {"sine2": 1.5, "sine4": 2.5}
-    code, text, _ = call("fit", bench / "records", "--out", tmp_path / "plain", *options)
-    assert code == 0 and "structure: " not in text
-    told = json.loads((tmp_path / "j").read_text())
-    assert (told["structure"], told["structure_errors"]) == ("encoder", None)
-
-
-def test_the_papers_training_has_no_other_structure(call, bench, tmp_path):
-    options = ["--preset", "paper", "--structure", "auto"]
-    assert "--preset default" in refused(call("fit", bench / "records", "--out", tmp_path / "model", *options))
 
 
 def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):

@@ -8,12 +8,11 @@ import jax
 from ...common.errors import BadInput
 from ...files.model_file.model_file import load, save
 from ...files.recordings.writing import write_text_atomic
-from ...method.identify.identification import Identification, identify, structure_of, trains_from_order_two
+from ...method.identify.identification import Identification, identify, trains_from_order_two
 from ...method.model.fitted import Fitted
 from ...method.signal.excitation_kind import is_sweep
 from ...method.signal.record import Record
 from ...method.simulate.prediction import predict
-from ...method.structure.choice import STRUCTURES, Choice, Fitting, choose, impose
 from ...method.train.cross_validation import cross_validate as run_cross_validate
 from ...method.train.cross_validation import with_left_out
 from ...method.train.settings import preset_of
@@ -30,7 +29,6 @@ from .reports import listed, print_history
 
 def fit(
     records, out, nominal, order, preset, learn, input_map, seed, report, reading, cross_validate=False, json_file=None,
-    structure="encoder",
 ) -> int:  # fmt: skip
     """Train a model, write the model file, and print the training history and the error on every record.
 
@@ -47,7 +45,6 @@ def fit(
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
         cross_validate: whether every record is also predicted by a model trained on the others.
         json_file: where to write the errors as JSON, or None.
-        structure: "encoder", "physical", "both", or "auto", which compares them on excitations left out.
 
     Returns:
         3 if the model explains nothing of the output, otherwise 0.
@@ -56,8 +53,6 @@ def fit(
         BadInput, ComputationFailed: with nothing written.
         KeyboardInterrupt: interrupted; the best complete model is written if a stage was complete.
     """
-    if preset == "paper" and structure != "encoder":
-        raise BadInput("--structure needs --preset default; leave one of them out")
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None
     read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
@@ -74,66 +69,42 @@ def fit(
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
     anew = (lambda _: given) if given else (lambda some: identified(some, order=order or "auto").model)
-    alike = (lambda _: given) if given else (lambda some: identified(some, **structure_of(start)).model)
-    fitting = Fitting(start, alike, **how, progress=ProgressBar().update, say=say)
-    chosen = _structured(structure, fitting, read_in, cross_validate)
-    done, held_out = chosen.training, chosen.held_out
-    save(out, with_left_out(done.model, held_out) if held_out else done.model)
+    done, held_out = train(start, read_in, progress=ProgressBar().update, **how), ()
+    save(out, done.model)
     if report is not None:
         _report(done.model, read_in, report, out)
     if done.interrupted:
         raise KeyboardInterrupt(f"the best complete model is in {out}")
     explains, warning = explained(done.errors, read_in, first)
-    _print_training(done, [r.name for r in read_in], warning, "" if structure == "encoder" else _structure_line(chosen))
-    if cross_validate and chosen.structure == "encoder":
+    _print_training(done, [r.name for r in read_in], warning)
+    if cross_validate:
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
         held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressBar().update, **how)
         save(out, with_left_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
-    compared = {s: chosen.errors.get(s) for s in STRUCTURES} if chosen.errors else None
     summary = {**errors_json(done.errors, held_out), "problems": list(done.problems), "fallback": done.fallback,
-               "warning": warning, "structure": chosen.structure, "reason": chosen.reason,
-               "structure_errors": compared}  # fmt: skip
+               "warning": warning}  # fmt: skip
     write_json(json_file, summary)
     print(f"wrote {out}; `pitp predict {out} RECORDS` scores it")
     return 0 if explains else 3
 
 
-def _structured(structure: str, fitting: Fitting, records: Sequence[Record], cross_validate: bool) -> Choice:
-    """Fit records with the given model structure, or with the one that "auto" chooses."""
-    if structure in ("physical", "both"):
-        return impose(structure, fitting, records, cross_validate)
-    done = train(fitting.nominal, records, settings=fitting.settings, key=fitting.key, progress=fitting.progress)
-    if structure == "encoder" or done.interrupted:
-        return Choice("encoder", "given by --structure" if structure == "encoder" else "interrupted", done)
-    return choose(fitting, records, done)
-
-
-def _print_training(done: Training, names: Sequence[str], warning: str | None, structure: str) -> None:
-    """Print how a model was trained: warnings, order, recordings, time, structure, history and effects."""
+def _print_training(done: Training, names: Sequence[str], warning: str | None) -> None:
+    """Print how a model was trained: warnings, order, recordings, time, history and effects."""
     summary, seconds = describe(done.model), number(done.notes.get("seconds"), 3)
     if warning:
         print(f"warning: {warning}")
     if line := fallback_line(done.notes):
         print(line)
     print(f"trained a model of order {summary['order']} on {listed(done.notes.get('records', names))} in {seconds} s")
-    if structure:
-        print(structure)
     print(sensor_line(done.model))
     for line in done.notes.get("left_out", ()):
         print(line)
     print_history(done.history)
     for effect in summary["effects"]:
         print(f"with {in_words(effect)}")
-
-
-def _structure_line(chosen: Choice) -> str:
-    """Write the chosen structure, the reason, and the errors of all structures in one line."""
-    errors = ", ".join(f"{s} {number(chosen.errors[s], 3)} %" for s in STRUCTURES if s in chosen.errors)
-    beside = f"; e_rms on them in % of range: {errors}" if errors else ""
-    return f"structure: {chosen.structure} ({chosen.reason}{beside})"
 
 
 def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) -> None:

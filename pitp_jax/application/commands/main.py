@@ -455,11 +455,6 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random start (default 0)")
     parser.add_argument("--report", metavar="DIR", help="folder for a page of free runs beside the recordings")
     parser.add_argument(
-        "--structure", choices=("auto", "encoder", "physical", "both"), default="encoder",
-        help="networks (default), the effects that a diagnosis finds, or both; auto: with fewer than eight excitations "
-        "the one with the fewest parameters that predicts excitations left out as well as the best",
-    )  # fmt: skip
-    parser.add_argument(
         "--cross-validate",
         action="store_true",
         help="also leave out each recording in turn, train on the others and predict the one left out",

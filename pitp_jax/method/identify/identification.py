@@ -12,7 +12,6 @@ optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, dela
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 from scipy.signal import StateSpace
@@ -140,12 +139,6 @@ def trains_from_order_two(found: Identification) -> bool:
     """
     two = [o for o in found.orders if o.order == 2 and o.poles_known]
     return found.chosen.order == 1 and any(o.heldout <= NEAR * found.chosen.heldout for o in two)
-
-
-def structure_of(model: Fitted) -> dict[str, Any]:
-    """Return the options with which `identify` gives a model of the same order and hold, with or without a delay."""
-    delayed = any(e.name == "delay" for e in model.effects)
-    return {"order": model.order, "hold": model.hold, "learn" if delayed else "leave_out": ("delay",)}
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # products of ten columns: threads cost five times what they save

@@ -116,8 +116,8 @@ class CompactEncoder(AbstractEncoder):
         sigma_1 ... sigma_{n-1} = damping(S) + linear and quadratic in S,   no net past(x, m_fast)
         all tokens and sigma_off times exp(sum_{k=1}^{3} c_k x^k):          how hard V^2 pulls at x
 
-    `remainder`: for a nominal that already holds the known physics. All logits are multiplied by a factor that is 1 in
-    the inner half of `bounds` (the trained region) and 0 outside of them:
+    `remainder`: of model files written before `fit --structure both` was removed. All logits are multiplied by a factor
+    that is 1 in the inner half of `bounds` (the trained region) and 0 outside of them:
 
         prod_i s(2 - |S_i - c_i| / h_i)    s(t) = t^2 (3 - 2 t) on [0, 1];  c: centre, h: quarter of the bounds' width
 
@@ -217,9 +217,7 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Mark with 1 the nets of spring and damping, which have parallel polynomials; of a `remainder` all weights."""
-        if self.remainder:
-            return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
+        """Mark with 1 the nets of spring and damping, which have parallel polynomials."""
 
         def nets(e):
             return tuple(net for net in (e.spring, e.damping) if net is not None)

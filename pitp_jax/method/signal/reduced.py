@@ -46,7 +46,7 @@ M = TypeVar("M", bound=Sampled)
 
 
 def reduce_rate(
-    records: Sequence[Record], model: M, samples_per_period: float, usable: int, *, size: int | None = None
+    records: Sequence[Record], model: M, samples_per_period: float, usable: int
 ) -> tuple[Sequence[Record], M]:
     """Average records over blocks and convert the model to the new rate; return both unchanged if blocks are too small.
 
@@ -55,17 +55,15 @@ def reduce_rate(
         model: its modes count among the fastest motion; its coefficients stay valid for the records' own rate.
         samples_per_period: kept of the fastest motion, at least.
         usable: number of samples, of all records together, that the caller can use.
-        size: of the blocks, if it is known.
     """
     dt, shortest, samples = records[0].dt, min(r.samples for r in records), sum(r.samples for r in records)
     forces = [model.input_map.force(r.voltage) for r in records]
-    if size is None:
-        poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
-        ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
-        fastest = fastest_hz(records, forces, ringing / (2 * np.pi))
-        whole = max(fastest, fastest_hz(records, forces, np.zeros(0), _WHOLE * (1 - _noise_share(records))))
-        longest, size = (block_size(dt, hz, samples_per_period, shortest) for hz in (fastest, whole))
-        size = min(max(size, -(-samples // usable)), longest)
+    poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
+    ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
+    fastest = fastest_hz(records, forces, ringing / (2 * np.pi))
+    whole = max(fastest, fastest_hz(records, forces, np.zeros(0), _WHOLE * (1 - _noise_share(records))))
+    longest, size = (block_size(dt, hz, samples_per_period, shortest) for hz in (fastest, whole))
+    size = min(max(size, -(-samples // usable)), longest)
     if size < (2 if samples > usable else _WORTH):
         return records, model
     small = [_with_voltage(r, f, size, model) for r, f in zip(records, forces, strict=True)]

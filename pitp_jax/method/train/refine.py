@@ -44,7 +44,6 @@ from ..simulate.decoder import still_state
 from ..simulate.prediction import begin
 from .creep_balance import SlowBalance
 from .dataset import Dataset
-from .shapes import Shapes
 
 BUDGET = 400_000  # samples in all
 _FEWEST_WHOLE, _SHORTEST = 12, 1000  # whole records, and samples of a cut one
@@ -79,20 +78,18 @@ def refine(
     mesh: Mesh | None = None,
     windows: bool = True,
     emphasis: Float[np.ndarray, " records"] | None = None,
-    shapes: Shapes | None = None,
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every optimiser step that lowers the simulation error.
 
     `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
     as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
-    `shapes`: those of another training.
     """
-    dt, period = records[0].dt, shapes.period if shapes else _period(model)
+    dt, period = records[0].dt, _period(model)
     how = _How(dt, report, firmness, slow, mesh, _spacing(period, dt))
     longest = max(r.samples for r in records) * dt / period  # in periods
     periods, stage = _PERIODS, "short runs"
     while windows:
-        runs = (_windows(model, data, records, periods, shapes),)
+        runs = (_windows(model, data, records, periods),)
         for stepped, entry in _descend(_nearest(model, runs, how), runs, _SHORT_STEPS, stage, how):
             model = stepped
             yield stepped, entry
@@ -177,40 +174,33 @@ def _period(model: Model) -> float:
     return 2 * np.pi / model.natural_frequency
 
 
-def _windows(
-    model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS, shapes: Shapes | None = None
-) -> Runs:
+def _windows(model: Model, data: Dataset, records: Sequence[Record], periods: float = _PERIODS) -> Runs:
     """Cut the records into windows of a few periods, each simulated from its filtered initial state.
 
-    An error is relative to the range of its record, because most windows may stand still. With the shapes of another
-    training, windows that start at an invalid sample are replaced by copies of a valid one, without weight.
+    An error is relative to the range of its record, because most windows may stand still.
     """
-    period, starts = (shapes.period, shapes.starts(data.valid)) if shapes else (_period(model), data.valid)
-    size = round(np.clip(periods * period / records[0].dt, 64, np.median([r.samples for r in records])))
+    size = round(np.clip(periods * _period(model) / records[0].dt, 64, np.median([r.samples for r in records])))
     places = [
         (k, first)
-        for k, valid in enumerate(starts)
+        for k, valid in enumerate(data.valid)
         for first in range(int(np.argmax(valid)), len(valid) - size + 1, size)
         if valid[first]
     ]
     every = max(-(-len(places) * size // BUDGET), 1)
     places = places[::every] or [(0, 0)]
-    used = np.array([data.valid[k][first] for k, first in places])
-    used |= not used.any()
-    places = [place if use else places[int(np.argmax(used))] for place, use in zip(places, used, strict=True)]
 
     def cut(arrays):
         return jnp.asarray(np.stack([arrays[k][first : first + size] for k, first in places]), jnp.float32)
 
     x = [model.output.to_model(r.displacement) / model.scales.state[0] for r in records]
     seen = [np.isfinite(v) for v in x]
-    count = np.bincount([k for k, _ in places], used, minlength=len(records))
+    count = np.bincount([k for k, _ in places], minlength=len(records))
     # a mean over samples, then windows, then records: a long record counts once
     each = _record_weights(model, records) / size / np.maximum(count, 1) / np.count_nonzero(count)
     weight = [w * s for w, s in zip(each, seen, strict=True)]
     start = jnp.stack([_begun(model, data.features[k][first], records[k].voltage[first]) for k, first in places])
     target = cut([np.where(s, v, 0.0) for v, s in zip(x, seen, strict=True)])
-    return Runs(start, cut([r.voltage for r in records]), target, cut(weight) * used[:, None])
+    return Runs(start, cut([r.voltage for r in records]), target, cut(weight))
 
 
 def _begun(model: Model, features: np.ndarray, voltage: float):

@@ -37,7 +37,6 @@ _WORDS = {
 
 
 PARTS = {name: lookup(name) for name in ("delay", "sensor_lag")}
-_REMAINDER = 10.0  # times the prior weight: the corrections of a model that holds the known physics
 
 
 @dataclass(frozen=True)
@@ -69,8 +68,6 @@ class Settings:
         firmness: prior weight of the nets of spring and damping in the free runs, in (1 %)^2; every other parameter has
             1e-4. Default: 1e-4; with `few` records and a squared input 0.06 over their number, because the error is a
             mean over records; 1e-3 for a linear input, where it extrapolates in amplitude.
-        remainder: whether the nominal holds the known physics, so that the compact encoder only learns the remainder:
-            all its weights are ten times as firm, and its corrections fade to zero outside the trained region.
 
     Raises:
         BadInput: an unknown word.
@@ -101,7 +98,6 @@ class Settings:
     refine_steps: int = 40
     starts: int = 3
     firmness: float | None = None
-    remainder: bool = False
 
     def __post_init__(self):
         """Refuse unknown words in the settings, which would silently act as the default."""
@@ -159,10 +155,9 @@ def firmness_of(settings: Settings, model: Model, records: int) -> float:
     """Return the prior weight of spring and damping nets: larger for a linear input, largest for few records."""
     if settings.firmness is not None:
         return settings.firmness
-    factor = _REMAINDER if settings.remainder else 1.0
     if _small_encoder(model):
-        return factor * 0.06 / records  # the error is a mean over records: fewer carry less information
-    return factor * (1e-4 if model.input_map.one_sided else 1e-3)
+        return 0.06 / records  # the error is a mean over records: fewer carry less information
+    return 1e-4 if model.input_map.one_sided else 1e-3
 
 
 def _small_encoder(model: Model) -> bool:
@@ -210,7 +205,6 @@ def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half
         frugal = model.input_map.one_sided and len(data.features) < settings.few
         encoder = CompactEncoder(
-            n, memories, width=settings.width, offset=settings.offset, frugal=frugal, remainder=settings.remainder,
-            bounds=bounds, key=key,
-        )  # fmt: skip
+            n, memories, width=settings.width, offset=settings.offset, frugal=frugal, bounds=bounds, key=key
+        )
     return eqx.tree_at(lambda m: m.encoder, model, encoder)

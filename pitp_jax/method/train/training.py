@@ -43,7 +43,6 @@ from .equation_error import loss
 from .errors import Judge, RecordError, judge, kept
 from .refine import BUDGET, refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
-from .shapes import Shapes
 
 _OPTIMISER = optax.scale_by_adam()
 _PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
@@ -68,7 +67,7 @@ class Training(Shown):
 
     `notes`: a summary; `left_out` lists the recordings without motion. `errors`: of every training record with the
     nominal and with this model. `problems`: lines on failures. `fallback`: the model returned in place of the trained
-    one, or None. `interrupted`: whether the user interrupted the training. `shapes`: of its arrays.
+    one, or None. `interrupted`: whether the user interrupted the training.
     """
 
     model: Fitted
@@ -78,7 +77,6 @@ class Training(Shown):
     errors: tuple[RecordError, ...] = ()
     problems: tuple[str, ...] = ()
     fallback: str | None = None
-    shapes: Shapes | None = None
 
     def _rows(self) -> list[dict]:
         return [vars(e) for e in self.errors]
@@ -93,7 +91,6 @@ def train(
     progress: Callable[[Progress], None] = lambda _: None,
     mesh: Mesh | None = None,
     encoder: eqx.Module | Callable[..., eqx.Module] | None = None,
-    shapes: Shapes | None = None,
     key,
 ) -> Training:
     """Train an encoder on records, with initial weights for which the model equals the nominal one.
@@ -112,8 +109,6 @@ def train(
         encoder: your own, instead of the preset's: an Equinox module as `OwnEncoder` describes it, or fn(features,
             logits, key=key) that makes one. With a module there is no test for a second mass, so it takes order +
             `Settings.memories` features. Training starts from its weights: at the nominal if its last layer is zero.
-        shapes: those of a training on as many recordings of the same lengths (`Training.shapes`), which saves the
-            compilation; default: as these recordings need them.
         key: JAX key; the same key, records and machine give the same model.
 
     Returns:
@@ -128,7 +123,6 @@ def train(
         >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
     settings = _settings_for(encoder, preset_of(preset) if settings is None else settings)
-    settings = settings if shapes is None else replace(settings, ringing=settings.ringing and shapes.ringing)
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
@@ -136,18 +130,16 @@ def train(
     parent = fitted_of(nominal)
     nominal = parent.model.sampled(seen[0].dt, parent.hold)
     compare = judge(nominal, seen)
-    records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, BUDGET, size=shapes and shapes.block)
+    records, nominal = reduce_rate(seen, nominal, _PER_PERIOD, BUDGET)
     # the equation error needs x itself, so each record's own offset and direction are taken out first
     begun = with_zero_at_rest(begin(nominal, records)[2])
     nominal = _with_zero(nominal, parent.origin.long_record, begun)
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
-    data = replace(data, equation=shapes.filled(data.equation)) if shapes else data
     history: list[dict] = []
     best, interrupted, began = None, False, time.monotonic()
     try:
-        for model, entry in _attempts(nominal, data, slow, records, compare, settings, encoder, key, progress, mesh,
-                                      shapes):  # fmt: skip
+        for model, entry in _attempts(nominal, data, slow, records, compare, settings, encoder, key, progress, mesh):
             best = model
             history.append(entry)
     except KeyboardInterrupt:
@@ -171,13 +163,7 @@ def train(
                      errors=())  # fmt: skip
     origin = with_excited(origin, seen)
     model = descended(Fitted(replace(chosen.model, domain=domain), origin), "fit", seen, parent)
-    shapes = shapes or _shapes_of(data, seen, records)
-    return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback, shapes)
-
-
-def _shapes_of(data: Dataset, given: Sequence[Record], reduced: Sequence[Record]) -> Shapes:
-    block, period = round(reduced[0].dt / given[0].dt), 2 * np.pi / data.model.natural_frequency
-    return Shapes(block, period, len(data.equation.force), data.valid, isinstance(data.model.memory, RingingMemory))
+    return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
 
 def _settings_for(encoder, settings: Settings) -> Settings:
@@ -221,7 +207,7 @@ def _prepared(
 
 def _attempts(
     nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, own, key,
-    progress, mesh: Mesh | None, shapes: Shapes | None,
+    progress, mesh: Mesh | None,
 ):  # fmt: skip
     """Yield (best model so far, history entry) of the first training, and of others if it does not converge.
 
@@ -235,8 +221,7 @@ def _attempts(
 
     def refined(model: Model, firm: float = 1.0, **how):
         firmness, steps = firm * firmness_of(settings, model, len(records)), settings.refine_steps
-        return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, shapes=shapes,
-                      **how)  # fmt: skip
+        return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, **how)
 
     init, sub = jax.random.split(key)
     model = None
