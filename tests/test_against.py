@@ -94,9 +94,28 @@ def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_enter(simu
         parameters=told,
         simulator_share=(0.0, 0.0, 0.0),
         records=recordings(),
+        identification=SimpleNamespace(chosen=SimpleNamespace(heldout=0.5)),
     )
     (line,) = [line for line in SimToReal.lines(found) if "Enter a delay" in line]
     assert "17.5 ms" in line and "half a sample (2.5 ms)" in line
+
+
+@pytest.mark.parametrize("other", [5.0, 3.0])
+def test_what_one_linear_model_leaves_of_two_loads_is_stated_with_the_remedy(other):
+    """Both commands by a mode of 5 Hz and by another one: two loads, or one of them twice."""
+    records = []
+    for hz in (5.0, other):
+        w = 2 * np.pi * hz
+        for r in recordings():
+            y = lsim(([w**2], [1.0, 0.6 * w, w**2]), r.voltage, r.time - r.time[0], interp=False)[1]
+            records.append(replace(r, name=f"{len(records)}", displacement=y))
+    identified = pitp.identify(records, order=2, input_map="linear")
+    pairs: Any = SimpleNamespace(remarks=lambda *names: [])
+    found: Any = SimpleNamespace(identification=identified, pairs=pairs, parameters=(), simulator_share=(0.0, 0.0, 0.0),
+                                 records=records)  # fmt: skip
+    lines = [line for line in SimToReal.remarks(found) if "folder of its own" in line]
+    assert len(lines) == (other != 5.0)
+    assert all(f"{identified.chosen.heldout:.2g} % of the simulator's recordings" in line for line in lines)
 
 
 def test_coefficients_scaled_alike_are_a_position_gain_or_its_twin(simulator):

@@ -18,6 +18,8 @@ from ..compare.pairing import Pairing
 if TYPE_CHECKING:
     import pandas as pd
 
+_SEVERAL = 2.0  # % of the output's deviation on held-out blocks: residual of the simulator's linear model
+
 
 @dataclass(frozen=True)
 class SimToReal:
@@ -100,6 +102,12 @@ class SimToReal:
         if self.simulator_share[0] >= 0.05:
             found.append(
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
+            )
+        missed = self.identification.chosen.heldout
+        if missed >= _SEVERAL:
+            found.append(
+                f"One linear model leaves {missed:.2g} % of the simulator's recordings unexplained. If they were "
+                "simulated with several loads or gains, put those of each into a folder of its own."
             )
         return [*found, *self.pairs.remarks("robot", "simulator")]
 

@@ -15,15 +15,12 @@ from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
 from ...files.mjcf.write import identified_name, write_mjcf
 from ...files.model_file.model_file import save
-from ...files.recordings.reading import read
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
 from ..against.entry import with_lineage
 from ..against.result import SimToReal
-from ..compare.groups import groups_of
-from ..compare.pairing import pair_records
 from ..pages.against import figures as figures_beside
 from ..pages.against import page
 from ..pages.diagnosis.answers import NEXT_CSV
@@ -31,7 +28,6 @@ from ..pages.diagnosis.figures import FIGURES, figures
 from ..pages.diagnosis.page import report
 from ..pages.drawn import write_figure
 from .console import StatusLine, number, print_table, say
-from .each import own_place
 from .ours import check_replaceable
 from .outputs import REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
@@ -45,7 +41,7 @@ _ROWS = 8  # of the ranking on standard output
 
 def diagnose(
     records, nominal, refit_nominal, seconds, out, json_file, reading, against=None, position_gain=None, mjcf=None,
-    joint=None, actuator=None, by_group=False,
+    joint=None, actuator=None,
 ) -> None:  # fmt: skip
     """Diagnose recordings, write the requested files, and print the result.
 
@@ -63,17 +59,11 @@ def diagnose(
         mjcf: MuJoCo file of the simulator, with `against`; a copy with the robot's parameters is written to `out`.
         joint: list with the name of the joint in that file.
         actuator: its actuator, if there are several.
-        by_group: diagnose each group of the simulator's recordings separately.
 
     Raises:
         BadInput, ComputationFailed: with nothing written.
     """
-    _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out)
-    if by_group:
-        own = dict(refit_nominal=refit_nominal, seconds=seconds, reading=reading, position_gain=position_gain,
-                   mjcf=mjcf, joint=joint, actuator=actuator)  # fmt: skip
-        _by_group(records, against, out, json_file, reading, own)
-        return
+    _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, out)
     if mjcf is not None:
         given = joint_of(read_document(mjcf), one_joint(joint), actuator)
         if given.position and position_gain is None:
@@ -90,9 +80,6 @@ def diagnose(
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
         warn(read_in)
-        groups = groups_of(simulated)
-        if groups is not None:
-            print(f"warning: {groups}", flush=True)
         diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
         robot, augmented = diagnosis.robot, with_lineage(diagnosis)
     status.close()
@@ -108,7 +95,7 @@ def diagnose(
         raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
 
 
-def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, by_group, out) -> None:
+def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, out) -> None:
     """Refuse options that contradict each other."""
     if against is not None and refit_nominal:
         raise BadInput(
@@ -116,8 +103,6 @@ def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator,
         )
     if against is None and position_gain is not None:
         raise BadInput("--position-gain only works with --against: it is the gain of the simulator's controller")
-    if against is None and by_group:
-        raise BadInput("--by-group only works with --against: it groups the simulator's recordings")
     if mjcf is not None and (against is None or out is None):
         raise BadInput("--mjcf only works with --against and --out DIR: the changed file is written there")
     if mjcf is None and (joint or actuator):
@@ -170,33 +155,6 @@ def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None
 
 def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
     return diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
-
-
-def _by_group(records, against, out, json_file, reading, own: dict) -> None:
-    """Diagnose each group of a simulator's recordings against the robot's recordings of the same commands.
-
-    Raises:
-        BadInput: a file holds recordings of several groups.
-    """
-    robot, simulated = (read(*paths, **reading) for paths in (records, against))
-    groups = groups_of(simulated)
-    if groups is None:
-        say("one linear model fits the simulator's recordings as well as several: they are one group")
-        diagnose(records, None, out=out, json_file=json_file, against=against, **own)
-        return
-    print(groups)
-    partners = [(pair.first.source, pair.second) for pair in pair_records(robot, simulated, shared="second").pairs]
-    sources = [{s.source for s in simulated if s.name in members} for members in groups.members]
-    if sum(map(len, sources)) > len(set().union(*sources)):
-        raise BadInput("--by-group: one file holds recordings of several groups; put each recording into its own file")
-    for k, (members, files) in enumerate(zip(groups.members, sources, strict=True), 1):
-        print(f"== group {k}: {', '.join(members)}")
-        mine = list(dict.fromkeys(source for source, other in partners if other.name in members))
-        if not mine:
-            say(f"warning: group {k} is left out because no recording of the robot has the same command")
-            continue
-        place, json_place = (None if path is None else own_place(path, f"group{k}") for path in (out, json_file))
-        diagnose(mine, None, out=place, json_file=json_place, against=sorted(files), **own)
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:

@@ -515,10 +515,6 @@ def _diagnose_arguments(parser: argparse.ArgumentParser) -> None:
         help="gain of the simulator's position controller: gives parameters in N m instead of ratios",
     )
     parser.add_argument(
-        "--by-group", action="store_true",
-        help="with --against: diagnose each group of recordings (different load or gain) separately",
-    )  # fmt: skip
-    parser.add_argument(
         "--refit-nominal",
         action="store_true",
         help="also fit the nominal model's coefficients (use it if the model was identified on these recordings)",
