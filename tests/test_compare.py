@@ -240,40 +240,12 @@ def test_a_trained_model_is_compared_by_what_it_does(linear, bounded):
     assert not same.different and "do not differ beyond" in same.headline()
 
 
-def test_factors_of_adapt_and_parts_of_diagnoses_are_compared(linear, bounded):
+def test_factors_of_adapt_are_compared(linear, bounded):
     one = _model(linear, bounded)
     entry = {"changed": {"stiffness": {"factor": 1.3, "ci95": [1.287, 1.313]}}}
     two = Fitted(one.model, replace(one.origin, adapted=(entry,)))
     (row,) = [r for r in pitp.compare(one, two).rows if "adapt" in r.what]
     assert (row.a, row.b, row.differs) == (1.0, 1.3, True) and row.ci95 == pytest.approx((0.287, 0.313))
-    parts = [
-        [{"effect": "delay", "form": "pure", "parameters": {"time": {"value": v, "unit": "s", "ci95": [v - 1, v + 1]}}}]
-        for v in (5.0, 8.0)
-    ]
-    found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
-    assert [r.what for r in found.different] == ["delay (pure): time"]
-    for part in parts:  # of two lower bounds no difference is known
-        part[0]["parameters"]["time"]["ci95"][1] = None
-    found = pitp.compare(*(_diagnosis(15.0, 0.2) | {"parts": p, "handed_back": ["delay"]} for p in parts))
-    assert not found.different
-
-
-def _diagnosis(value, stderr, verdict="explained"):
-    force = {"value": value, "unit": "N", "stderr": stderr}
-    row = {"effect": "coulomb_friction", "form": "plain", "parameters": {"f": force}}
-    gap = {"before": 5.0, "after": 1.0, "noise_floor": 0.1, "closed_fraction": 0.8, "ci95": [0.7, 0.9]}
-    budget = {"effects": {"coulomb_friction": {"share": 0.9, "ci95": [0.8, 1.0]}}}
-    told = {"verdict": verdict, "effects": ["coulomb_friction"], "equivalent": [], "gap": gap}
-    return told | {"ranking": [row], "budget": budget}
-
-
-def test_diagnoses_differ_beyond_both_standard_errors():
-    near = pitp.compare(_diagnosis(15.0, 0.2), _diagnosis(15.4, 0.2))
-    far = pitp.compare(_diagnosis(15.0, 0.2), _diagnosis(15.8, 0.2))
-    (one,), (two,) = ([r for r in c.rows if r.what == "coulomb_friction: f"] for c in (near, far))
-    assert not one.differs and two.differs
-    assert two.ci95 == pytest.approx((0.8 - 1.96 * 0.2 * 2**0.5, 0.8 + 1.96 * 0.2 * 2**0.5))
-    assert [r.what for r in pitp.compare(_diagnosis(1, 1), _diagnosis(1, 1, "unknown")).different] == ["verdict"]
 
 
 def test_two_kinds_are_refused(linear):

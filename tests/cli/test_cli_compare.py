@@ -8,8 +8,6 @@ from cli_cases import refused, tree, truth
 
 from pitp_jax.files.model_file import model_file
 
-DIAGNOSIS = {"verdict": "no_gap", "effects": [], "equivalent": [], "gap": {"before": 1.0, "after": 1.0}, "ranking": []}
-
 
 @pytest.mark.slow
 def test_records_of_one_drive_make_a_page_and_figures(call, bench, tmp_path):
@@ -32,17 +30,17 @@ def test_records_of_one_drive_make_a_page_and_figures(call, bench, tmp_path):
     assert "size of the motion" in text
 
 
-def test_diagnoses_are_opened_by_folder_and_by_file(call, tmp_path):
+def test_the_folder_of_a_diagnosis_is_opened_as_its_model(call, tmp_path):
+    """Its CSV files are no recordings."""
     (tmp_path / "monday").mkdir()
-    (tmp_path / "monday" / "diagnosis.json").write_text(json.dumps(DIAGNOSIS))
-    (tmp_path / "tuesday.json").write_text(json.dumps(DIAGNOSIS | {"verdict": "unknown"}))
-    code, text, _ = call("compare", tmp_path / "monday", tmp_path / "tuesday.json")
-    assert code == 0 and "verdict" in text and "unknown" in text
+    (tmp_path / "monday" / "figure.csv").write_text("time_s,voltage_V,displacement_mm\n0,0,0\n")
+    for place in (tmp_path / "monday" / "model_augmented", tmp_path / "tuesday"):
+        model_file.save(place, truth())
+    code, text, _ = call("compare", tmp_path / "monday", tmp_path / "tuesday")
+    assert code == 0 and "Both hold the same model." in text
 
 
 def test_what_is_not_of_one_kind_is_refused(call, bench, tmp_path):
     model_file.save(tmp_path / "m", truth())
-    (tmp_path / "x.json").write_text("{}")
     assert "give two of the same kind" in refused(call("compare", tmp_path / "m", bench / "records"))
-    assert "not the JSON of a diagnosis" in refused(call("compare", tmp_path / "x.json", tmp_path / "x.json"))
     assert f"pitp compare {tmp_path / 'm'} {tmp_path / 'n'}" in refused(call("info", tmp_path / "m", tmp_path / "n"))

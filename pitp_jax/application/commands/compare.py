@@ -1,10 +1,8 @@
-"""`pitp compare`: reports the differences between two models, two diagnoses or two sets of recordings."""
+"""`pitp compare`: reports the differences between two models or two sets of recordings."""
 
-import json
 import math
 from pathlib import Path
 
-from ...common.errors import BadInput
 from ...files.model_file.model_file import is_model_file, load
 from ...files.recordings.reading import read
 from ...files.recordings.writing import write_text_atomic
@@ -13,16 +11,16 @@ from ..compare.result import Comparison, Difference
 from ..pages.compare import figures, page
 from ..pages.drawn import write_figure
 from .console import number, print_table
-from .outputs import check_outputs, staged
+from .outputs import MODEL, check_outputs, staged
 
-PAGE, DIAGNOSIS = "compare.html", "diagnosis.json"
+PAGE = "compare.html"
 
 
 def compare(a, b, out, json_file, reading) -> None:
     """Compare two inputs, write the requested files, and print the differences.
 
     Args:
-        a, b: model files; diagnoses, as JSON or as folders that `pitp diagnose --out` wrote; or records.
+        a, b: model files, or folders with one that `pitp diagnose --out` wrote; or records.
         out: folder for a page and its figures, or None.
         json_file: where to write the comparison as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
@@ -41,24 +39,9 @@ def compare(a, b, out, json_file, reading) -> None:
 
 
 def _opened(path: str, reading: dict):
-    """Open a path as a model, as the JSON of a diagnosis, or as records."""
-    place = Path(path)
-    diagnosis = place / DIAGNOSIS if place.is_dir() else place
-    if diagnosis.is_file() and diagnosis.suffix == ".json":
-        return _diagnosis(diagnosis)
-    if place.is_file() and is_model_file(place):
-        return load(place)
-    return read(path, **reading)
-
-
-def _diagnosis(path: Path) -> dict:
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError:
-        raise BadInput(f"{path}: is not JSON; give a file that `pitp diagnose --json` wrote") from None
-    if not isinstance(content, dict) or not {"verdict", "effects", "gap", "ranking"} <= content.keys():
-        raise BadInput(f"{path}: is not the JSON of a diagnosis; give a file that `pitp diagnose --json` wrote")
-    return content
+    """Open a path as a model, as the model of a diagnosis, or as records."""
+    place = Path(path) / MODEL if (Path(path) / MODEL).is_file() else Path(path)
+    return load(place) if place.is_file() and is_model_file(place) else read(path, **reading)
 
 
 def _names(a: str, b: str) -> tuple[str, str]:

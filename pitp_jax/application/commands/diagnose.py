@@ -29,11 +29,11 @@ from ..pages.diagnosis.page import report
 from ..pages.drawn import write_figure
 from .console import StatusLine, number, print_table, say
 from .ours import check_replaceable
-from .outputs import REPORT, check_outputs, staged, write_json
+from .outputs import MODEL, REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
 from .verify import one_joint
 
-MODEL, JSON, ROBOT, MJCF_JSON = "model_augmented", "diagnosis.json", "robot.html", "mjcf.json"
+JSON, ROBOT, MJCF_JSON = "diagnosis.json", "robot.html", "mjcf.json"
 FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
 T = TypeVar("T")
 _ROWS = 8  # of the ranking on standard output

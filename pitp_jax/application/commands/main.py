@@ -276,9 +276,7 @@ def _parser() -> argparse.ArgumentParser:
     info = command("info", "show what a model file holds")
     info.add_argument("model", metavar="MODEL", help="identified or trained model")
     info.add_argument("others", nargs="*", help=argparse.SUPPRESS)  # two are compared by `compare`
-    _compare_arguments(
-        command("compare", "show the differences between two models, two diagnoses or two sets of recordings")
-    )
+    _compare_arguments(command("compare", "show the differences between two models or two sets of recordings"))
     return parser
 
 
@@ -341,7 +339,7 @@ def _check_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _compare_arguments(parser: argparse.ArgumentParser) -> None:
-    kinds = "model file, diagnosis (its JSON or folder), or recordings"
+    kinds = "model file, folder of a diagnosis, or recordings"
     parser.add_argument("a", metavar="A", help=kinds)
     parser.add_argument("b", metavar="B", help="what A is compared with, of the same kind")
     parser.add_argument("--out", metavar="DIR", help="folder for a page and its figures")

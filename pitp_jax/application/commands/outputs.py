@@ -24,7 +24,7 @@ from ...common.errors import BadInput
 from ...files.recordings.writing import is_stream, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
 
-REPORT, INDEX = "report.html", "index.html"  # the page of a command's output, and the links to all pages
+MODEL, REPORT, INDEX = "model_augmented", "report.html", "index.html"  # a diagnosis's model, a page, the links to all
 
 
 def check_outputs(

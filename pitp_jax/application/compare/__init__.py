@@ -1,4 +1,4 @@
-"""Compare two models, two diagnoses or two sets of recordings, and report what differs beyond its confidence interval.
+"""Compare two models or two sets of recordings, and report what differs beyond its confidence interval.
 
     differs:  |b - a| > 1.96 sqrt(s_a^2 + s_b^2)
 

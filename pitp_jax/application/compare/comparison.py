@@ -1,24 +1,23 @@
-"""Compare two models, two diagnoses or two sets of recordings."""
+"""Compare two models or two sets of recordings."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from os import PathLike
 
 from ...common.errors import BadInput
 from ...method.model.fitted import Fitted, fitted_of
 from ...method.model.model import Model
 from ...method.signal.record import Record
-from .diagnoses import compare_diagnoses
 from .models import compare_models
 from .records import compare_records
 from .result import Comparison
 
 
 def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
-    """Compare two models, two diagnoses or two sets of recordings.
+    """Compare two models or two sets of recordings.
 
     Args:
-        a, b: two models (or results that hold a `.model`), two diagnoses (or their JSON as dicts), or two sequences of
-            records, whose recordings are paired by their commands.
+        a, b: two models (or results that hold a `.model`, as a diagnosis does), or two sequences of records, whose
+            recordings are paired by their commands.
         names: of the two.
 
     Returns:
@@ -34,22 +33,16 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
     kinds = [_kind(one) for one in (a, b)]
     if kinds[0] != kinds[1]:
         raise BadInput(f"{names[0]} is {kinds[0]}, {names[1]} {kinds[1]}; give two of the same kind")
-    if kinds[0] == "a diagnosis":
-        as_json = [dict(one) if isinstance(one, Mapping) else one.as_json() for one in (a, b)]
-        return compare_diagnoses(as_json[0], as_json[1], names)
     if kinds[0] == "a model":
         return compare_models(fitted_of(a), fitted_of(b), names)
     return compare_records(list(a), list(b), names)
 
 
 def _kind(one) -> str:
-    # before models, because a diagnosis holds a model too
-    if isinstance(one, Mapping) and "verdict" in one or (hasattr(one, "as_json") and hasattr(one, "ranking")):
-        return "a diagnosis"
     if isinstance(one, Model | Fitted) or isinstance(getattr(one, "model", None), Model | Fitted):
         return "a model"
     if isinstance(one, Sequence) and len(one) and all(isinstance(r, Record) for r in one):
         return "a set of recordings"
     # a path is what a user of the command line would give
     hint = "; give pitp.load(FILE) or pitp.read(PATH)" if isinstance(one, (str, PathLike)) else ""
-    raise BadInput(f"a {type(one).__name__} cannot be compared{hint}; give models, diagnoses or lists of records")
+    raise BadInput(f"a {type(one).__name__} cannot be compared{hint}; give models or lists of records")

@@ -51,7 +51,7 @@ class Comparison:
     """All compared quantities of A and B, and which of them differ.
 
     Attributes:
-        kind: "models", "diagnoses" or "records".
+        kind: "models" or "records".
         names: of A and of B.
         rows: every quantity of either.
         remarks: further facts: lineage, clocks, recordings without a partner.
