@@ -98,7 +98,6 @@ for f in (
     lambda: pitp.identify([r, 3]),
     lambda: pitp.check(r),
     lambda: pitp.check(7),
-    lambda: pitp.check([r], model="nominal"),
     lambda: pitp.rollout("nominal", t),
 ):
     try:

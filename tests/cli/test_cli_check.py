@@ -52,19 +52,6 @@ def test_check_writes_records_as_understood_a_page_and_json(call, bench, tmp_pat
     assert page.count("<svg") == 1 + len(DRIVES) and "http" not in page and "sweep" in text
 
 
-@pytest.mark.slow
-def test_check_with_a_model_names_what_it_does_not_explain(call, bench, tmp_path):
-    voltage, x = motion("sine2")
-    write_record(tmp_path / "other.csv", voltage, 1.3 * x)
-    file = tmp_path / "j"
-    code, text, _ = call(
-        "check", bench / "records", tmp_path / "other.csv", "--model", bench / "nominal", "--json", file
-    )
-    assert code == 0 and "other: the model does not explain it" in text
-    wrong = [name for name, row in strict(file)["records"].items() if row["problems"]]
-    assert wrong == ["other"]
-
-
 def test_check_refuses_where_nothing_can_be_read(call, tmp_path):
     (tmp_path / "bad.csv").write_text("a,b\n1,2\n")
     assert "bad.csv" in refused(call("check", tmp_path / "bad.csv", "--out", tmp_path / "out"))

@@ -1,6 +1,6 @@
 """Check every record by itself, and all records together, and advise the user.
 
-    faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit or given model)
+    faults, input, noise (one_record) -> initial state, offset, direction, membership (set_fit)
                                       -> coverage, repeats -> advice
 
 A record that cannot be used is reported and left out of the checks of the set, so its problem does not hide the others.
@@ -17,9 +17,6 @@ from ...common.shown import Shown
 from ...common.units import base_unit, from_base
 from ...files.recordings.plausible import monitor_warning
 from ...files.recordings.remarks import Remark, by_kind, counted
-from ...method.model.fitted import Fitted, fitted_of
-from ...method.model.model import Model
-from ...method.signal.initial_state import Beginning
 from ...method.signal.record import Record
 from ...method.signal.sets import RATE_TOLERANCE, check_records
 from .coverage import Coverage, coverage
@@ -27,7 +24,6 @@ from .one_record import Facts, coloured_noise, facts, masked, moves
 from .repeats import Repeat, cycles, find_repeats
 from .set_advice import set_advice
 from .set_fit import SetFit, fit_set
-from .with_model import Explained, beside_model
 
 _FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
 
@@ -45,7 +41,6 @@ class CheckedRecord:
         noise_colour: "white" or "coloured".
         excitation: "sweep", "sine", "steps", "broadband" or "none".
         band_hz: of the input.
-        e_rms_percent: error of the given model.
         repaired: corrections that need no action.
         problems: one sentence each.
     """
@@ -65,7 +60,6 @@ class CheckedRecord:
     jitter: float | None = None
     excitation: str | None = None
     band_hz: tuple[float, float] | None = None
-    e_rms_percent: float | None = None
     repaired: tuple[Remark, ...] = ()
     problems: tuple[str, ...] = ()
 
@@ -84,7 +78,7 @@ class Check(Shown):
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.
         advice: on the set, one sentence each, the most important first.
-        resonance_hz: by the given model or the linear fit; None if no fit was possible.
+        resonance_hz: of the linear fit; None if no fit was possible.
         input_map: whether the force was taken as the square of the voltage or as the voltage.
         coverage: excited frequencies and amplitudes.
         repeats: inputs that were played more than once.
@@ -124,53 +118,44 @@ class Check(Shown):
         return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
 
 
-def check(records: Sequence[Record], model: Model | Fitted | None = None) -> Check:
+def check(records: Sequence[Record]) -> Check:
     """Check what was read, how each record starts, and whether the records suffice for identification and training.
 
     Args:
         records: from `pitp.read`; records of an unusual sampling rate or kind of output are reported and left out of
             the checks of the set.
-        model: of the same actuator; None fits a linear one.
 
     Returns:
         records by name, advice, coverage and repeats.
 
     Raises:
-        BadInput: no records, or something else than records or a model.
+        BadInput: no records, or something else than records.
 
     Examples:
         >>> found = pitp.check(records)
         >>> found.records["sweep"].begins, found.records["sweep"].problems
         ('rest', ())
     """
-    return checked(records, model, {})
+    return checked(records, {})
 
 
-def checked(records: Sequence[Record], model: Model | Fitted | None, refused: Mapping[str, str]) -> Check:
+def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     """Check records as `check` does, and report the files that could not be read (name: refusal)."""
     check_records(records, empty=bool(refused))
-    # The origin gives the unit of the model's output and its residual on its own records.
-    model = None if model is None else fitted_of(model)
     records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
-    unit = base_unit(model.origin.displacement_unit) if model is not None else None
-    apart = _apart(records, unit)
+    apart = _apart(records)
     # Only these describe the set: one rate, one kind of output, moving under an input.
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
-    fitted = fit_set(used) if used and model is None else None
-    beside = beside_model(model, used) if used and model is not None else {}
-    resonance, input_map = None, "square"
-    if model is not None:
-        resonance, input_map = model.natural_frequency / (2 * np.pi), model.input_map.name
-    elif fitted:
-        resonance, input_map = fitted.natural_hz, fitted.input_map
-    rows = {r.name: _row(r, own[r.name], fitted, beside.get(r.name)) for r in records}
+    fitted = fit_set(used) if used else None
+    resonance, input_map = (fitted.natural_hz, fitted.input_map) if fitted else (None, "square")
+    rows = {r.name: _row(r, own[r.name], fitted) for r in records}
     turned = _turned(rows)
     more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
     rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
     cover = coverage(used, input_map, resonance) if used and resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
-    advice = set_advice(rows, used, cover, repeats, cycles(used), beside, fitted, turned)
+    advice = set_advice(rows, used, cover, repeats, cycles(used), fitted, turned)
     monitor = monitor_warning(used) if used and input_map == "square" else None
     # added to the others, so that one bad file does not hide the good ones
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
@@ -187,7 +172,7 @@ def _named(records: Sequence[Record]) -> list[Record]:
     return named
 
 
-def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
+def _apart(records: Sequence[Record]) -> dict[str, str]:
     """Return the records that differ from most in sampling rate or kind of output, by name, with the reason."""
     if not records:
         return {}
@@ -195,7 +180,7 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
     rates = [round(np.log(r.dt) / RATE_TOLERANCE / 2) for r in records]
     most = Counter(rates).most_common(1)[0][0]
     dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
-    kind = unit or Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
+    kind = Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
     apart = {}
     for r in records:
         if abs(r.dt / dt - 1) > RATE_TOLERANCE:
@@ -207,11 +192,10 @@ def _apart(records: Sequence[Record], unit: str | None) -> dict[str, str]:
     return apart
 
 
-def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | None) -> CheckedRecord:
-    """Return the facts about one record, with the results of the linear fit or of the given model."""
+def _row(record: Record, own: Facts, fitted: SetFit | None) -> CheckedRecord:
+    """Return the facts about one record, with the results of the linear fit."""
     unit, problems = record.displacement_unit, list(own.problems)
-    begun: Beginning | None = None
-    noise, colour, direction, e_rms = own.noise, None, None, None
+    noise, colour, direction, begun = own.noise, None, None, None
     if fitted is not None and record.name in fitted.records:
         row = fitted.records[record.name]
         harmonic = 2 if fitted.input_map == "square" else 1
@@ -220,11 +204,6 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         noise, colour = (noise, "white") if coloured is None else (coloured, "coloured")
         begun, direction = row.beginning, int(row.beginning.direction) if row.tells else None
         problems += [row.strange] if row.strange else []
-    if beside is not None:
-        begun, e_rms = beside.beginning, beside.e_rms_percent
-        direction, colour = int(begun.direction), beside.colour
-        noise = beside.coloured if beside.coloured is not None else noise
-        problems += [text for text in (beside.problem, beside.not_excited) if text]
     shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
     # an infinite standard error means that the offset was not measured
     known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
@@ -233,7 +212,7 @@ def _row(record: Record, own: Facts, fitted: SetFit | None, beside: Explained | 
         samples=record.samples, rate_hz=1 / record.dt, recognised=seen, begins=begun.begins if begun else None,
         zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
         noise=float(from_base(noise, unit)), noise_colour=colour, missing=record.missing,
-        outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz, e_rms_percent=e_rms,
+        outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz,
         repaired=own.repaired, problems=tuple(problems),
     )  # fmt: skip
 

@@ -9,7 +9,6 @@ from ...method.signal.record import Record
 from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
-from .with_model import Explained
 
 _PEAKS = 0.5**0.5  # damping below which a mode has a resonance peak
 _PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
@@ -19,7 +18,7 @@ _SMALL = 0.002
 
 def set_advice(
     rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
-    cycles: Mapping[str, float], beside: Mapping[str, Explained], fitted: SetFit | None, turned: Sequence[str],
+    cycles: Mapping[str, float], fitted: SetFit | None, turned: Sequence[str],
 ) -> list[str]:  # fmt: skip
     """Write advice on all records together, one sentence each.
 
@@ -29,7 +28,6 @@ def set_advice(
         cover: excited frequencies and amplitudes.
         repeats: inputs that were played more than once.
         cycles: scatter between the cycles of a periodic input, % of range.
-        beside: records compared with the model, if one was given.
         fitted: the linear fit.
         turned: records whose sensor is reversed relative to most.
     """
@@ -38,19 +36,13 @@ def set_advice(
             "no recording shows motion under a changing input, so nothing can be identified; check sensor and amplifier"
         ]
     lines = []
-    poor = [name for name, row in beside.items() if row.problem and row.e_rms_percent is not None]
-    if poor:
-        lines.append(
-            f"the model does not explain {len(poor)} of {len(used)} recordings ({_some(poor)}); run `pitp diagnose` "
-            "to find the cause"
-        )
     strange = [name for name, row in fitted.records.items() if row.strange] if fitted else []
     if strange:
         it = "it" if len(strange) == 1 else "them"
         lines.append(f"{_some(strange)} may not belong to this set; check {it}, or leave {it} out")
     if turned:
         lines.append(f"the sensor is reversed in {_some(turned)}; this is taken into account, but check its sign")
-    if not beside and fitted is None:
+    if fitted is None:
         lines.append("no linear model could be fitted, so initial states, sensor offsets and directions are not known")
     if fitted is not None and fitted.input_map == "linear":
         lines.append(

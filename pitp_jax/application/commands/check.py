@@ -5,7 +5,6 @@ from pathlib import Path
 
 from ...common.units import base_unit, column_name
 from ...files.containers.options import folder_file
-from ...files.model_file.model_file import load
 from ...files.recordings.reading import read_each
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ..check.check import Check, checked
@@ -17,12 +16,11 @@ from .recordings import recognised
 PAGE, SOURCE = "check.html", "source.toml"
 
 
-def check(records, model, out, json_file, reading) -> None:
+def check(records, out, json_file, reading) -> None:
     """Check recordings, write the requested files, and print the result.
 
     Args:
         records: files and folders.
-        model: model file, or None.
         out: folder for the records as read and the page, or None.
         json_file: where to write the result as JSON, or None.
         reading: keyword arguments of `pitp.read`: columns, units, scales, rate.
@@ -30,16 +28,15 @@ def check(records, model, out, json_file, reading) -> None:
     Raises:
         BadInput: nothing could be read; with nothing written.
     """
-    check_outputs(json_file, folder=out, inputs=[*records, model])
-    loaded = load(model) if model else None
+    check_outputs(json_file, folder=out, inputs=records)
     read_in, refused = read_each(records, reading)
     for line in recognised(read_in):
         say(line)
     for line in refused.values():
         say(f"warning: not read: {line}")
-    result = checked(read_in, loaded, refused)
+    result = checked(read_in, refused)
     files = {r.name: f"{r.name.lstrip('/')}.csv" for r in result.understood}
-    check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=[*records, model])
+    check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=records)
     with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
         if out is not None:
             _write(result, files, stage)

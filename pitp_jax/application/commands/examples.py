@@ -10,7 +10,7 @@ _PAGES = {
 }
 EXAMPLES = {
     "demo": ("pitp demo --quick", "pitp demo --plant roll --out roll"),
-    "check": ("pitp check demo/records", "pitp check demo/held_out --model demo/model.pitp --out checked"),
+    "check": ("pitp check demo/records", "pitp check demo/held_out --out checked"),
     "plan": (
         "pitp plan --max-voltage 6000 --band 0.5 10 --out session",
         "pitp plan demo/nominal.pitp --max-displacement 3 --out session_2",

@@ -333,7 +333,6 @@ def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bo
 
 def _check_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
-    parser.add_argument("--model", metavar="MODEL", help="also list the recordings that this model does not explain")
     parser.add_argument("--out", metavar="DIR", help="folder for a page and one CSV per recording as it was read")
     _columns(parser)
 
