@@ -17,7 +17,7 @@ from pitp_jax.application.commands.main import main
 from pitp_jax.application.commands.plan import _sorted
 from pitp_jax.application.pages.plan import page
 from pitp_jax.application.plan.expected_error import knowledge, motions
-from pitp_jax.application.plan.information import choose, gains, variance
+from pitp_jax.application.plan.information import choose, variance
 from pitp_jax.application.plan.next_recordings import greedy
 from pitp_jax.application.plan.strokes import scaled_to_limits, strokes
 from pitp_jax.method.fit.parameters import parameters, with_parameters
@@ -27,7 +27,6 @@ from pitp_jax.method.signal.excited import tabulate
 from pitp_jax.method.simulate import ports
 from pitp_jax.method.simulate.decoder import rollout
 
-STILL = pitp.Record("still", np.arange(600) * 5e-3, np.zeros(600), np.linspace(0, 1, 600))
 RIG = {"max_voltage": 6000.0, "band": (1.0, 10.0), "rate": 200.0}
 
 
@@ -114,7 +113,6 @@ def test_alternating_polarity_turns_every_second_drive_over():
         (RIG | {"rate": 150.0}, "is too high for --rate"),
         (RIG | {"duration": 5.0}, "--duration 5 s is too short"),
         (RIG | {"max_slew": -1.0}, "--max-slew"),
-        (RIG | {"choose_from": [STILL]}, "--choose-from needs"),
     ],
 )
 def test_what_cannot_be_met_is_refused_in_one_line(limits, says):
@@ -238,19 +236,6 @@ def test_drives_beyond_the_membranes_stroke_are_left_out(model, records, followi
         assert 1e-3 * np.abs(read(model, r.voltage)).max() == pytest.approx(r.stroke, rel=1e-3)
     with pytest.raises(pitp.BadInput, match="every planned input is predicted to exceed it"):
         pitp.plan(model, records, max_displacement=1e-9, **LENGTHS)
-
-
-@pytest.mark.slow
-def test_existing_recordings_are_ranked_without_their_output(model, records):
-    blind = [pitp.Record(r.name, r.time, r.voltage, np.zeros(600)) for r in records]
-    found = pitp.plan(model, records, choose_from=[STILL, *blind])
-    again = pitp.plan(model, records, choose_from=[*records, STILL])
-    assert [r.name for r in found.recordings] == [r.name for r in again.recordings]
-    known = knowledge(model, records)
-    g = motions(model, [r.voltage for r in (STILL, *records)], 5e-3, floor=known.floor).information
-    after = gains(known.precision, [3.0 * m for m in g], np.mean(g, axis=0))
-    assert found.recordings[0].name == (STILL, *records)[int(np.argmin(after))].name
-    assert found.expected[1] == pytest.approx(np.sqrt(known.unit * after.min()), rel=1e-3)
 
 
 def test_an_identified_model_gets_a_space_filling_set(actuator):

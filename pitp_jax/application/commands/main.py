@@ -401,9 +401,6 @@ def _plan_arguments(parser: argparse.ArgumentParser) -> None:
         help="rest at zero input between recordings (default: until the actuator is at rest again)",
     )  # fmt: skip
     parser.add_argument("--rate", type=_positive, metavar="HZ", help="samples per second of the inputs")
-    parser.add_argument(
-        "--choose-from", metavar="DIR", help="rank these existing recordings instead of proposing new ones"
-    )
     parser.add_argument("--alternate", action="store_true", help="make every second input negative (bipolar amplifier)")
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the space-filling set (default 0)")
     _columns(parser, rate=False)

@@ -9,7 +9,6 @@ from ...common.errors import BadInput
 from ...common.quantity import Quantity, Units
 from ...common.units import column_name, spelt
 from ...files.model_file.model_file import is_model_file, load
-from ...files.recordings.reading import read
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ...method.model.units import units_of
 from ..pages.plan import headline, page
@@ -24,15 +23,12 @@ from .recordings import is_square, read_records
 PAGE, JSON = "plan.html", "plan.json"
 
 
-def plan(
-    paths, out, choose_from, max_voltage, max_slew, max_displacement, band, reading, json_file=None, **more
-) -> None:
+def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, json_file=None, **more) -> None:
     """Plan recordings, write the inputs, the page and the JSON, and print them in order.
 
     Args:
         paths: none, or a model file and the records it was trained on.
         out: folder to write to.
-        choose_from: folder of existing recordings to rank instead, or None.
         max_voltage, max_slew: limits of the input (`Amount`), or None for those of the model's recordings.
         max_displacement: limit from the position at zero input, or None.
         band: lowest and highest frequency in Hz, or None.
@@ -44,23 +40,21 @@ def plan(
         BadInput, ComputationFailed: with nothing written.
     """
     given, records = _sorted(paths)
-    check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=[*paths, choose_from])
+    check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=paths)
     model = None if given is None else load(given)
     square = model is None or is_square(model)
     read_in = read_records(records, reading, square=square) if records else ()
-    others = read(choose_from, **reading) if choose_from else ()
-    for taken in (read_in, others):
-        if taken and model is not None:
-            check_belongs(model, str(given), taken)
+    if read_in and model is not None:
+        check_belongs(model, str(given), read_in)
     units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)
     planned = make_plan(
-        model, read_in, choose_from=others, band=band and tuple(band), units=units, **more,
+        model, read_in, band=band and tuple(band), units=units, **more,
         max_voltage=in_base(max_voltage, units.max_input, units.input),
         max_slew=in_base(max_slew, units.max_rate, units.input, rate=True),
         max_displacement=in_base(max_displacement, units.max_output, units.limit),
     )  # fmt: skip
     files = [f"{r.name.replace('/', '_')}.csv" for r in planned.recordings]
-    check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=[*paths, choose_from])
+    check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=paths)
     summary = planned.as_json() | {"files": files}
     with staged(folder=out, json_file=json_file, value=summary) as stage:
         for file, r in zip(files, planned.recordings, strict=True):

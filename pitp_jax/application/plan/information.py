@@ -37,9 +37,7 @@ def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np
     return np.array([variance(precision + c, predicted) for c in candidates])
 
 
-def choose(
-    precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int, *, again: bool = False
-) -> list[Choice]:
+def choose(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int) -> list[Choice]:
     """Choose `count` candidates one by one, each the one that lowers the mean variance of predictions most.
 
     Args:
@@ -47,15 +45,12 @@ def choose(
         candidates: M_c, shape (P, P) each.
         predicted: G, shape (P, P).
         count: number of recordings, at most all.
-        again: whether a candidate may be taken twice.
     """
     # One at a time: subsets of 48 would be too many, and two candidates with the same information are not both chosen.
     remaining, taken = list(range(len(candidates))), []
     while remaining and len(taken) < count:
         after = gains(precision, [candidates[k] for k in remaining], predicted)
         best = int(np.argmin(after))
-        taken.append(Choice(remaining[best], float(after[best])))
-        precision = precision + candidates[remaining[best]]
-        if not again:
-            remaining.pop(best)
+        taken.append(Choice(remaining.pop(best), float(after[best])))
+        precision = precision + candidates[taken[-1].place]
     return taken

@@ -1,4 +1,4 @@
-"""Choose the next recordings for a trained model, among candidate inputs or existing recordings.
+"""Choose the next recordings for a trained model, among candidate inputs.
 
     chosen one after another, each the one that lowers v most, until the improvement is too small to see:
     1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
@@ -86,24 +86,6 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
         for j, k in enumerate(places)
     ]
     return Next(tuple(chosen), expected, worth, notes)
-
-
-def ranked(model: Model, records: Sequence[Record], others: Sequence[Record], duration: float | None) -> Next:
-    """Rank existing recordings, or the first `duration` seconds of each, by how much they lower the expected error."""
-    dt = others[0].dt
-    size = None if duration is None else round(duration / dt)
-    cut, whole = [r.voltage[:size] for r in others], [r.voltage for r in others]
-    known = knowledge(model, records)
-    offered = motions(model, cut, dt, floor=known.floor)
-    predicted = offered if size is None else motions(model, whole, dt, floor=known.floor)
-    seconds = np.array([len(u) * dt for u in cut])
-    places, expected, worth = greedy(known, offered, predicted, seconds, len(cut))
-    planned = []
-    for j, k in enumerate(places):
-        clock, stroke = np.arange(len(cut[k])) * dt, float(offered.stroke[k])
-        purpose = f"rank {j + 1}: {_lowered(expected, j)}"
-        planned.append(Planned(others[k].name, "existing", purpose, clock, cut[k], 0.0, stroke))
-    return Next(tuple(planned), expected, worth)
 
 
 def _lowered(expected: Sequence[float], j: int) -> str:

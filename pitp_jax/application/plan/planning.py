@@ -23,7 +23,7 @@ from ...method.signal.sets import check_set
 from .drives import Planned
 from .first_session import FEWEST, POINTS, default_duration, drive, first_session, in_order, space_filling_set
 from .limits import Limits, default_rate
-from .next_recordings import bearable, following, ranked
+from .next_recordings import bearable, following
 from .rests import first_rest, rest_after
 
 REACHED = (
@@ -40,7 +40,7 @@ class Plan(Shown):
     """The recordings to take next, and the error expected after them.
 
     Attributes:
-        recordings: to take, in this order; if existing, all of them, the best first.
+        recordings: to take, in this order.
         limits: their limits.
         expected: error on inputs not recorded yet, % of range, without noise: before, and after each recording except
             that of untrained frequencies, which comes first; empty without a trained model.
@@ -92,7 +92,6 @@ def plan(
     duration: float | None = None,
     rest: float | None = None,
     rate: float | None = None,
-    choose_from: Sequence[Record] = (),
     alternate: bool = False,
     seed: int = 0,
     units: Units | None = None,
@@ -110,7 +109,6 @@ def plan(
         rest: seconds at 0 V between recordings; default until the model is within 0.5 % of its stroke again, or,
             without a model, for a damping of 0.05.
         rate: samples per second; default the model's, otherwise a hundred per period of the highest frequency.
-        choose_from: existing recordings to choose from instead; their output is not used.
         alternate: play every second recording with negative voltage (a bipolar amplifier).
         seed: of the space-filling points.
         units: of input and output in files and texts; default the model's, otherwise V and m.
@@ -131,8 +129,6 @@ def plan(
     model = None if fitted is None else fitted.model
     if records:
         check_set(records)
-    if choose_from:
-        return _ranking(model, records, choose_from, duration, units)
     limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units)
     length = duration or default_duration(limits, fresh=model is None)
     if model is None or fitted is None:
@@ -204,26 +200,6 @@ def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
         f"a swing of the whole range takes {stretched:.3g} s. To shorten them, raise {units.max_rate} or lower "
         f"{units.max_input}",
     )
-
-
-def _ranking(model: Model | None, records, others: Sequence[Record], duration: float | None, units: Units) -> Plan:
-    """Rank existing recordings by how much they lower the model's expected error, the best first.
-
-    Raises:
-        BadInput: no trained model, or none of its records.
-    """
-    if model is None or not trained(model) or not records:
-        raise BadInput("--choose-from needs a trained model and the recordings it was trained on")
-    check_set([*records, *others])
-    best, dt = ranked(model, records, others, duration), others[0].dt
-    played = [r.voltage for r in best.recordings]
-    low, high = min(0.0, *(float(u.min()) for u in played)), max(float(np.abs(u).max()) for u in played)
-    slew = max(r.slew for r in best.recordings)
-    limits = Limits(
-        low, high, slew, np.inf, (1 / max(r.seconds for r in best.recordings), 0.05 / dt), 1 / dt, 0.0, units
-    )
-    worth = f"the first {best.worth} of {len(played)} would lower the error noticeably"
-    return Plan(best.recordings, limits, best.expected, best.worth == 0, (worth,))
 
 
 def trained(model: Model) -> bool:
