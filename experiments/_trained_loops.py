@@ -32,6 +32,7 @@ from pitp_jax.method.model.input_map import SquareInput
 from pitp_jax.method.model.memory import FadingMemory, NoMemory
 from pitp_jax.method.model.model import Model, Output, linear_model
 from pitp_jax.method.model.programs import in_double
+from pitp_jax.method.simulate.decoder import rollout
 
 TOP, STROKE, FINER = 3000.0, 1e-3, 4
 PLANTS = {"same": (1.0, 1.0)} | {f"k {k:g} g {g:g}": (k, g) for k in (0.8, 1.2) for g in (0.8, 1.2)}
@@ -90,7 +91,7 @@ def made(kind: Kind) -> Model:
         model = replace(model, effects=(effect("delay", time=kind.delay),))
     t = np.arange(int(4 * kind.rate)) / kind.rate
     chirp = 0.35 * TOP * (1 - np.cos(2 * np.pi * (0.1 * t + kind.hz / 8 * t**2)))
-    reached = np.asarray(pitp.rollout_scaled(model, jnp.asarray(chirp), 1 / kind.rate, pitp.rest_state(model)))
+    reached = np.asarray(rollout(model, jnp.asarray(chirp), 1 / kind.rate, pitp.rest_state(model)))
     region = np.stack([reached.min(0), reached.max(0)], 1)[: n + memory.size]
     return replace(model, domain=replace(domain, region=region))
 

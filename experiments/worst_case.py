@@ -21,7 +21,7 @@ import optax
 
 import pitp_jax as pitp
 from pitp_jax.application.demo.protocol import excitations, measure, run
-from pitp_jax.method.simulate.decoder import rollout_batch
+from pitp_jax.method.simulate.decoder import rollout, rollout_batch
 
 
 def random_voltages(rng, count: int, samples: int, low: float, high: float) -> np.ndarray:
@@ -47,7 +47,7 @@ def ascend(model, voltage: np.ndarray, dt: float, steps: int, low: float, high: 
     start = pitp.rest_state(model)
 
     def loudness(u):
-        return jnp.log(jnp.mean(pitp.rollout_scaled(model, u, dt, start)[:, 0] ** 4) + 1e-12)
+        return jnp.log(jnp.mean(rollout(model, u, dt, start)[:, 0] ** 4) + 1e-12)
 
     optimiser = optax.adam(0.05 * (high - low))
 

@@ -70,7 +70,6 @@ from .method.model.model import Scales as Scales
 from .method.model.model import linear_model as linear_model
 from .method.model.own_encoder import OwnEncoder as OwnEncoder
 from .method.signal.record import Record as Record
-from .method.simulate import rollout_scaled as rollout_scaled
 from .method.simulate.decoder import rest_state as rest_state
 from .method.simulate.devices import records_mesh as records_mesh
 from .method.simulate.devices import sharded_inverse as sharded_inverse

@@ -11,6 +11,7 @@ from played import FEW
 
 import pitp_jax as pitp
 from pitp_jax.method.effects import effect
+from pitp_jax.method.simulate.decoder import rollout
 
 DT, SAMPLES, NOISE = 2e-3, 1500, 2e-6
 TIME = np.arange(SAMPLES) * DT
@@ -61,7 +62,7 @@ def main(place):
         predicted=predicted,
         moving=pitp.predict(model, [later])[0].displacement,
         nominal=pitp.predict(nominal, [record])[0].displacement,
-        rolled=rig(pitp.rollout_scaled(model, jnp.asarray(record.voltage), step, start[0])),
+        rolled=rig(rollout(model, jnp.asarray(record.voltage), step, start[0])),
         sharded=rig(pitp.sharded_rollout(model, record.voltage[None], step, start, mesh)[0]),
         self_check=pitp.feedforward(model, pitp.Target(TIME, predicted)).self_check_e_rms_percent,
         dtypes=dtypes((model, found.model)),

@@ -169,7 +169,7 @@ REFUSED = {
     "Target": ("inverse", lambda m, u: pitp.Target(TIME, u).displacement),
     "Record": ("free_run or residual", lambda m, u: pitp.Record("a", TIME, u, u).voltage),
     "sharded_inverse": ("inverse", lambda m, u: pitp.sharded_inverse(m, u[None], DT, pitp.records_mesh())),
-    "sharded_rollout": ("rollout_scaled", lambda m, u: pitp.sharded_rollout(m, u[None], DT, u, pitp.records_mesh())),
+    "sharded_rollout": ("free_run", lambda m, u: pitp.sharded_rollout(m, u[None], DT, u, pitp.records_mesh())),
     "invert_stream": ("inverse", lambda m, u: list(pitp.invert_stream(m, [u], DT))[0].voltage),
     "error": ("jax.numpy", lambda m, u: pitp.e_rms_percent(u, u)),
 }

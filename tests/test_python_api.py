@@ -41,7 +41,7 @@ def public():
 def test_dir_shows_public_names_only():
     code = "import pitp_jax; print([n for n in dir(pitp_jax) if n.startswith('_') or n == 'lazy_loader'])"
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout == "[]\n"
-    assert {"check", "rollout", "rollout_scaled", "predict", "read_voltage"} <= set(public())
+    assert {"check", "rollout", "predict", "read_voltage"} <= set(public())
 
 
 def test_every_public_function_says_what_it_takes_gives_and_shows():

@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 from typed import some
 
-from pitp_jax import BadInput, records_mesh, rest_state, rollout_scaled, sharded_inverse, sharded_rollout
+from pitp_jax import BadInput, records_mesh, rest_state, sharded_inverse, sharded_rollout
+from pitp_jax.method.simulate.decoder import rollout
 from pitp_jax.method.simulate.devices import local_rows, spread
 
 WORKER = Path(__file__).with_name("shard_worker.py")
@@ -52,7 +53,7 @@ def test_one_device_rolls_out_and_inverts_as_without(linear, coefficients):
     volts = np.stack([300 * np.sin((1 + r) * 4 * t) ** 2 for r in range(3)])
     rest = np.asarray(rest_state(model))
     found = sharded_rollout(model, volts, 1e-3, np.tile(rest, (3, 1)), mesh)
-    truth = [rollout_scaled(model, jnp.asarray(u, jnp.float32), 1e-3, rest_state(model)) for u in volts]
+    truth = [rollout(model, jnp.asarray(u, jnp.float32), 1e-3, rest_state(model)) for u in volts]
     np.testing.assert_allclose(found, truth, rtol=0, atol=2e-5 * np.abs(truth).max())
     motion = np.stack([1.5 - 2 * np.cos(w * t) + 0.5 * np.cos(2 * w * t), 2 * w * np.sin(w * t) - w * np.sin(2 * w * t),
                        2 * w**2 * (np.cos(w * t) - np.cos(2 * w * t))])  # fmt: skip

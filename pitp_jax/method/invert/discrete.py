@@ -62,8 +62,9 @@ def discrete_inverse(
             the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
 
     Examples:
+        >>> from pitp_jax.method.simulate.decoder import rollout
         >>> u = jnp.linspace(0.0, 1000.0, 50)
-        >>> states = pitp.rollout_scaled(model, u, 1e-3, pitp.rest_state(model))
+        >>> states = rollout(model, u, 1e-3, pitp.rest_state(model))
         >>> bool(jnp.allclose(pitp.discrete_inverse(model, states, 1e-3)[5:], u[5:-1], rtol=0.05))
         True
     """

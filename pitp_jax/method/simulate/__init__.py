@@ -2,9 +2,7 @@
 
     x^(n) = (F - sigma_off - sum_{i<n} sigma_i x^(i)) / sigma_n,   RK4, tokens frozen over half a step ahead
 
-Verbs: `rollout` (a voltage, in the rig's units), `predict` (whole sets of records, likewise), `rollout_scaled` (states
+Verbs: `rollout` (a voltage, in the rig's units), `predict` (whole sets of records, likewise), `decoder.rollout` (states
 in the model's coordinates, pure and differentiable). `batched_rollout` is the same function, faster for many records;
 `ports` applies the effects.
 """
-
-from .decoder import rollout as rollout_scaled  # noqa: F401

@@ -205,7 +205,7 @@ def rollout(
         scaled states (state, memory, effects), shape (T, n + K).
 
     Examples:
-        >>> states = pitp.rollout_scaled(model, jnp.ones(64), 1e-3, pitp.rest_state(model))
+        >>> states = rollout(model, jnp.ones(64), 1e-3, pitp.rest_state(model))
         >>> states.shape
         (64, 2)
     """

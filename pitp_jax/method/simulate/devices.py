@@ -125,7 +125,7 @@ def sharded_rollout(
         >>> pitp.sharded_rollout(model, np.zeros((1, 64)), 1e-3, np.asarray(start), mesh).shape
         (1, 64, 2)
     """
-    refuse_traced("sharded_rollout", "rollout_scaled", model, voltage, start)
+    refuse_traced("sharded_rollout", "free_run", model, voltage, start)
     model = model_of(model)
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
