@@ -22,7 +22,7 @@ from scipy.signal import lsim
 sys.path.append(str(Path(__file__).resolve().parents[1] / "tests"))
 from effect_numbers import NUMBERS
 
-from pitp_jax.application.pages.lines import ERROR, MEASURED
+from pitp_jax.application.pages.drawing import ERROR, MEASURED
 from pitp_jax.method.effects import CATALOGUE
 from pitp_jax.method.effects.spec import EffectSpec
 from pitp_jax.method.model.domain import Domain

@@ -8,7 +8,7 @@ import numpy as np
 from _paper import ACTUATORS
 from matplotlib.figure import Figure
 
-from pitp_jax.application.pages.lines import MEASURED, PREDICTED, over
+from pitp_jax.application.pages.drawing import MEASURED, PREDICTED, over
 
 
 def arguments(doc: str, argv, smoke: bool, plants=("cone100",)):

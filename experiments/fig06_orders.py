@@ -8,13 +8,14 @@ In-sample is the sweep itself; every sine is held out.
 import sys
 import time
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import ACTUATORS, RESONANCE_HZ, TOKENS, Bench, errors
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.demo.files import SWEEP_HZ
-from pitp_jax.application.pages import paper_figures
+
+SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
 
 
 def main(smoke: bool = False, argv=()):

@@ -8,13 +8,13 @@ the default preset with one part taken away or exchanged. The trajectory at 110 
 import sys
 from dataclasses import replace
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
-from pitp_jax.application.pages.lines import ERROR
+from pitp_jax.application.pages.drawing import ERROR
 
 FREQUENCY = {"roll": 110.0, "cone": 8.0}  # Hz
 DEFAULT = PRESETS["default"]

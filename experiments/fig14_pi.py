@@ -8,6 +8,7 @@ and around one whose membrane has become 3 % softer; the mean error is taken ove
 import sys
 from dataclasses import replace
 
+import _paper_figures as paper_figures
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -15,7 +16,6 @@ from _paper import TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
 
 SECONDS = {"roll": 2.0, "cone": 20.0}
 SOFTER = 0.97

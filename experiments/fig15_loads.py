@@ -7,13 +7,13 @@ the figure.
 
 import sys
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
-from pitp_jax.application.pages.lines import CYCLE
+from pitp_jax.application.pages.drawing import CYCLE
 
 LOADS = ("cone100", "cone122", "cone150", "roll")
 HELD_OUT = {"roll": (48.0,), "cone": (5.5,)}  # Hz

@@ -7,13 +7,13 @@ second in percent of the target's range, and whether the last second is no worse
 
 import sys
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import PRESETS, Bench
 from _show import arguments, axes_grid, finish, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
-from pitp_jax.application.pages.lines import CYCLE
+from pitp_jax.application.pages.drawing import CYCLE
 
 SECONDS, FREQUENCY = 50.0, 0.5
 

@@ -6,13 +6,13 @@ here is held out: a curve of changing range and speed, a triangle with rounded c
 
 import sys
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import Bench
 from _show import arguments, axes_grid, finish, panel, show
 from scipy.ndimage import gaussian_filter1d
 
 from pitp_jax import excitation
-from pitp_jax.application.pages import paper_figures
 
 BAND = {"roll": (20.0, 1.0), "cone": (1.5, 10.0)}  # slowest frequency (Hz) and length (s)
 

@@ -9,13 +9,13 @@ every derivative, beside the paper's eq. 3. Where the data choose order 2 the wr
 import sys
 from dataclasses import replace
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import PRESETS, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
-from pitp_jax.application.pages.lines import CYCLE
+from pitp_jax.application.pages.drawing import CYCLE
 
 PAPER = PRESETS["paper"]
 SHOWN_HZ = {"roll": (10, 100), "cone": (3, 5)}

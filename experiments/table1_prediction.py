@@ -6,12 +6,12 @@ included. Every cell of Table I lies on the training grid; the held-out records 
 
 import sys
 
+import _paper_figures as paper_figures
 import numpy as np
 from _paper import ACTUATORS, TABLE_1, Bench, errors
 from _show import arguments, axes_grid, finish, overlay, panel, show
 
 import pitp_jax as pitp
-from pitp_jax.application.pages import paper_figures
 
 FIG_8 = {"roll": (20, 130), "cone": (2, 10)}  # Hz
 FIG_9_HZ, FIG_10_HZ = {"roll": 100, "cone": 8}, {"roll": (10, 50, 100), "cone": (1, 4, 8)}

@@ -6,10 +6,9 @@ range the actuator reaches there. Table II's frequencies lie on the training gri
 
 import sys
 
+import _paper_figures as paper_figures
 from _paper import ACTUATORS, TABLE_2, Bench
 from _show import arguments, axes_grid, finish, panel, show
-
-from pitp_jax.application.pages import paper_figures
 
 HELD_OUT = {"roll": (17.0, 48.0, 83.0, 117.0), "cone": (0.6, 2.5, 5.5, 8.5)}  # Hz, between the training sines
 

@@ -14,7 +14,6 @@ from pitp_jax.application.against.correction import corrections
 from pitp_jax.application.against.entry import simplest_model
 from pitp_jax.application.against.result import SimToReal
 from pitp_jax.application.demo import joint
-from pitp_jax.application.pages import against as page
 from pitp_jax.method.diagnose.joint import parameters
 from pitp_jax.method.effects import CATALOGUE
 from pitp_jax.method.effects.physical import physical, physical_factor
@@ -158,7 +157,7 @@ def test_numbers_that_help_are_in_the_headline_though_no_cause_is_certain():
         found = object.__new__(SimToReal)
         robot = SimpleNamespace(verdict="unknown", effects=(), handed_back=handed_back, gap=gap)
         object.__setattr__(found, "robot", robot)
-        assert expected in page._headline(found)
+        assert expected in found.headline()
 
 
 def test_a_hanging_arm_and_a_limit_of_the_drive_are_torques(turning):

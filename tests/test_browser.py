@@ -13,7 +13,6 @@ from pitp_jax.application.against.result import SimToReal
 from pitp_jax.application.commands import outputs
 from pitp_jax.application.commands.predict import score
 from pitp_jax.application.compare.pairing import pair_records
-from pitp_jax.application.pages import html
 from pitp_jax.application.pages.against import page as against_page
 from pitp_jax.application.pages.bode_page import bode_page
 from pitp_jax.application.pages.check import page as check_page
@@ -21,6 +20,7 @@ from pitp_jax.application.pages.compare import page as compare_page
 from pitp_jax.application.pages.diagnosis.page import report
 from pitp_jax.application.pages.fit_page import fit_page
 from pitp_jax.application.pages.plan import page as plan_page
+from pitp_jax.common.page import Page
 from pitp_jax.method.diagnose.joint import Parameter
 
 pytestmark = pytest.mark.browser
@@ -73,9 +73,11 @@ def against(explained):
 
 def index(folder):
     for k in range(12):
-        (folder / f"a_rather_long_name_of_a_page_{k:02d}.html").write_text(html.page("The gap is explained " * 3, []))
+        (folder / f"a_rather_long_name_of_a_page_{k:02d}.html").write_text(
+            Page("The gap is explained " * 3, "", []).html()
+        )
     with outputs.staged(folder=folder) as stage:
-        (stage / "report.html").write_text(html.page("No gap", []))
+        (stage / "report.html").write_text(Page("No gap", "", []).html())
     return (folder / "index.html").read_text()
 
 

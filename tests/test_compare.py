@@ -13,6 +13,7 @@ from scipy.signal import lsim
 import pitp_jax as pitp
 from pitp_jax.application.compare.pairing import pair_records
 from pitp_jax.application.demo import joint
+from pitp_jax.application.pages.compare import figures
 from pitp_jax.common.numbers import number
 from pitp_jax.method.model.encoder import CompactEncoder
 from pitp_jax.method.model.fitted import Fitted
@@ -154,6 +155,24 @@ def test_two_commands_that_mirror_each_other_keep_their_signs():
     ]
     found = pair_records(both, both[::-1])
     assert all(p.first.name == p.second.name and p.correlation > 0 for p in found.pairs) and len(found.pairs) == 4
+
+
+def test_a_constant_offset_of_the_output_is_printed_and_is_no_difference():
+    """An encoder that reads 2048 at rest: robot and simulator were drawn and told apart by 2048."""
+    robot = machine(late=0.02, gain=0.9)
+    ticks = [replace(r, displacement=r.displacement + 2048.0) for r in robot]
+    plain, raw = (pitp.compare(machine(), other, names=("sim", "robot")) for other in (robot, ticks))
+    for one, two in zip(plain.rows, raw.rows, strict=True):
+        assert (two.what.split(" (")[0], two.differs) == (one.what.split(" (")[0], one.differs)
+        assert two.b == pytest.approx(one.b, rel=1e-3, abs=1e-6)
+    assert not any("constant offset" in line for line in plain.remarks)
+    (line,) = (line for line in raw.remarks if "constant offset" in line)
+    assert "2.05e+03" in line or "2048" in line
+    assert raw.as_json()["pairs"][0]["output_offset"] == pytest.approx(2048.0, abs=0.02)
+    caption = figures(raw)[0].caption
+    drawn = figures(raw)[0].drawn.axes[0]
+    assert "2048" in caption or "2.05e+03" in caption
+    assert np.nanmax(np.abs(drawn.lines[1].get_ydata())) < 2.0
 
 
 def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():

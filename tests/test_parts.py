@@ -10,8 +10,6 @@ from diagnosis_cases import part
 from played import nominal_of
 from test_names import SCALE, hypothesis, searched
 
-from pitp_jax.application.pages.diagnosis.formatting import parameter_between
-from pitp_jax.application.pages.diagnosis.words import certainty, lines, part_lines
 from pitp_jax.method.diagnose import parts, result, verdict
 from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.gap import Gap, as_far_as_closed
@@ -20,7 +18,9 @@ from pitp_jax.method.diagnose.next_experiment import Experiment
 from pitp_jax.method.diagnose.parts import Parts, parts_of
 from pitp_jax.method.diagnose.search import PARAMETERS
 from pitp_jax.method.diagnose.verdict import decide
+from pitp_jax.method.diagnose.words import certainty, lines, part_lines
 from pitp_jax.method.effects import CATALOGUE, lookup
+from pitp_jax.method.effects.words import parameter
 
 CREEP, CLIP = lookup("creep", "one branch"), lookup("voltage_clip", "hard")
 KAPPA, TAU = slots_of_row(CREEP)
@@ -203,7 +203,7 @@ def no_flexible(monkeypatch):
 )
 def test_numbers_are_printed_with_their_interval(name, number, text):
     value, unit, ci95 = number
-    assert parameter_between(name, {"value": value, "unit": unit, "ci95": ci95}, "mm") == text
+    assert parameter(name, {"value": value, "unit": unit, "ci95": ci95}, "mm") == text
 
 
 def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unknown, no_gap):

@@ -1,6 +1,10 @@
 """The figures show the data they are given, in mm, V, kV and s, on the axes they are given."""
 
+import runpy
 import sys
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,8 +12,11 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 from typed import some
 
-from pitp_jax.application.pages import paper_figures as plot
-from pitp_jax.application.pages.lines import BINS, envelope, error_shown, extremes, over, some_periods, thin
+from pitp_jax.application.pages.drawing import BINS, beside, finish, fit_legends, over, own_axes, some_periods, thin
+
+EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
+plot: Any = SimpleNamespace(**runpy.run_path(str(EXPERIMENTS / "_paper_figures.py")))
+envelope, error_shown, extremes = plot.envelope, plot.error_shown, plot.extremes
 
 T = np.arange(500) / 1e3
 X = 1e-3 * np.sin(2 * np.pi * 5 * T)
@@ -171,3 +178,27 @@ def test_a_dense_sine_is_drawn_by_twelve_periods_and_a_chirp_whole():
     assert time[part].mean() == pytest.approx(10.0, abs=0.3)  # of the middle
     for whole in (np.sin(2 * np.pi * time), np.sin(2 * np.pi * 0.2 * time**2), np.zeros(20_000), np.full(9, np.nan)):
         assert some_periods(whole) == slice(None)
+
+
+def test_no_legend_is_wider_than_its_figure():
+    """The legend "best candidate" of a narrow figure was cut off."""
+    for labels in (
+        ("measured", "model as given", "best candidate"),
+        ("robot", "MuJoCo, before", "MuJoCo, after"),
+        ("l" * 90,),
+    ):
+        axes = own_axes(None, 1, (3.55, 2.0))
+        for label in labels:
+            axes[0].plot([0, 1], [0, 1], label=label)
+        finish(axes, "x", ["y"])
+        fit_legends(axes[0].figure, 8.5)
+        axes[0].figure.draw_without_rendering()
+        assert axes[0].get_legend().get_window_extent().x1 <= axes[0].figure.bbox.x1
+
+
+def test_time_counts_from_the_start_and_the_error_of_every_run_is_drawn():
+    drawn = beside(700 + T, ("robot", X), [("before", 2 * X, "#000000"), ("after", Y, "#111111")], ("x", "error"))
+    upper, lower = drawn.axes
+    assert upper.lines[0].get_xdata()[0] == 0 and lower.get_xlabel() == "time from the start (s)"
+    assert len(upper.lines) == 3 and len(lower.lines) == 2
+    np.testing.assert_allclose(lower.lines[0].get_ydata(), X)

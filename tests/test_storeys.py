@@ -10,8 +10,6 @@ STOREYS = ("common", "method", "files", "application")  # each imports itself an
 ROOMS = ("numerics", "signal", "model", "effects", "simulate", "fit")  # inside `method`, likewise; the methods follow
 EXCEPTIONS = {  # may only shrink
     ("files.mjcf.write", "application.against.result"),
-    ("method.diagnose.diagnosis", "application.pages.diagnosis.page"),
-    ("method.diagnose.diagnosis", "application.pages.diagnosis.words"),
     ("method.fit.free_run_problem", "method.train.creep_balance"),
     ("method.invert.advice", "files.recordings.reading"),
     ("method.invert.feedforward_plan", "files.recordings.reading"),

@@ -11,7 +11,7 @@ from cli_cases import motion, refused, tree, write_record
 from scipy.signal import lfilter
 
 from pitp_jax.application.commands import outputs
-from pitp_jax.application.pages import html
+from pitp_jax.common.page import Page
 
 OLD = '{\n  "written_by": "pitp_jax 0.1"\n}'
 
@@ -127,14 +127,14 @@ def test_invert_on_a_full_disk_leaves_nothing(call, bench, tmp_path, quick_inver
 
 
 def test_an_index_links_every_page_of_a_folder_and_leaves_what_is_not_ours(tmp_path):
-    page = html.page("Two < three", [])
+    page = Page("Two < three", "", []).html()
     with outputs.staged(folder=tmp_path / "d") as stage:
         (stage / "check.html").write_text(page)
     (tmp_path / "d" / "hand.html").write_text("<title>mine</title>")
     (tmp_path / "d" / "knee").mkdir()
     (tmp_path / "d" / "knee" / "a b.html").write_text(page)
     with outputs.staged(folder=tmp_path / "d") as stage:
-        (stage / "report.html").write_text(html.page("verdict", []))
+        (stage / "report.html").write_text(Page("verdict", "", []).html())
     index = (tmp_path / "d" / "index.html").read_text()
     links = re.findall('href="(.*?)">.*?<span class="soft">(.*?)</span>', index)
     assert links == [

@@ -16,7 +16,6 @@ from scipy.signal import lsim
 
 from pitp_jax import Record
 from pitp_jax.application.commands.amounts import amount, in_base
-from pitp_jax.application.pages.diagnosis.formatting import parameter
 from pitp_jax.common.errors import BadInput
 from pitp_jax.common.quantity import Quantity, Units, per_second
 from pitp_jax.files.model_file import model_file
@@ -26,6 +25,7 @@ from pitp_jax.method.diagnose.result import Added, Ranked
 from pitp_jax.method.diagnose.term import equation
 from pitp_jax.method.effects import CATALOGUE, effect
 from pitp_jax.method.effects.physical import physical
+from pitp_jax.method.effects.words import parameter
 from pitp_jax.method.model.domain import Domain
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.input_map import LinearInput

@@ -5,10 +5,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...common.numbers import number
+from ...common.numbers import number, of_range
+from ...common.page import Page, Section, Table
 from ...common.shown import data_frame
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.joint import Parameter, as_rows
+from ...method.diagnose.words import named
 from ...method.identify.identification import Identification
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
@@ -123,10 +125,46 @@ class SimToReal:
         return "\n".join([*str(self.robot).splitlines(), *self.lines()])
 
     def _repr_html_(self) -> str:
-        """Write headline and parameters as HTML, for notebooks."""
-        from ..pages.against import first_screen
+        """Write the first screen of the page as HTML, for notebooks."""
+        return self.summary().first_screen()
 
-        return first_screen(self)
+    def headline(self) -> str:
+        """Write in a sentence in which the robot differs from the simulator."""
+        if self.verdict == "no_gap":
+            return "The simulator agrees with the robot"
+        lacking = [e.replace("_", " ") for e in self.effects if e != "parameter_change"]
+        facts = [f"lacks {named(lacking)}"] if lacking else []
+        facts += ["has different parameters"] if len(lacking) < len(self.effects) else []
+        if facts:
+            return f"The simulator {', and '.join(facts)}"
+        if self.robot.handed_back:
+            before, after = (of_range(e) for e in (self.robot.gap.before, self.robot.gap.after))
+            return (
+                f"These parameters reduce the difference from {before} to {after} of range; no single cause is certain"
+            )
+        return "The simulator and the robot differ, and no effect in the catalogue reduces the difference"
+
+    def table(self) -> Table:
+        """Return the table of the parameters, for the page and the terminal."""
+        rows = [
+            (p.words, p.simulator, p.robot, p.difference, p.stderr, p.unit, p.mujoco, p.physx, p.urdf)
+            for p in self.parameters
+        ]
+        note = (
+            "Bold rows belong to effects that the diagnosis reports. The damping includes that of the controller, and "
+            "the inertia includes the link. Therefore add the difference to the value in the simulator."
+        )
+        if any("Kp" in p.unit for p in self.parameters):
+            note += " Kp is the gain of the position controller; give --position-gain to get torques."
+        header = ("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo", "PhysX, Isaac Lab", "URDF")
+        bold = [bool(p.difference and p.certain) for p in self.parameters]
+        return Table(header, rows, note, bold, (0, 5, 6, 7, 8))
+
+    def summary(self) -> Page:
+        """Return the first screen of the page: headline, diagnosis, parameters."""
+        parameters = Section("Parameters to type into the simulator", [self.table()])
+        first = [*str(self.robot).splitlines(), self.remarks(), parameters]
+        return Page(self.headline(), "Robot beside simulator", first, css="good" if self.effects else "open")
 
     def frame(self) -> "pd.DataFrame":
         """Return a table with one row per parameter: simulator, robot, difference, and names in other programs."""

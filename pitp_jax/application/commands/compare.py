@@ -1,15 +1,14 @@
 """`pitp compare`: reports the differences between two models or two sets of recordings."""
 
-import math
 from pathlib import Path
 
 from ...files.model_file.model_file import is_model_file, load
 from ...files.recordings.reading import read
 from ...files.recordings.writing import write_text_atomic
 from ..compare.comparison import compare as run_compare
-from ..compare.result import Comparison, Difference
+from ..compare.result import Comparison
 from ..pages.compare import figures, page
-from ..pages.drawn import write_figure
+from ..pages.drawn import write_picture
 from .console import number, print_table
 from .outputs import MODEL, check_outputs, staged
 
@@ -51,30 +50,16 @@ def _names(a: str, b: str) -> tuple[str, str]:
 
 
 def _write(comparison: Comparison, folder: Path) -> None:
-    write_text_atomic(folder / PAGE, page(comparison))
-    for name, (drawn, columns) in figures(comparison).items():
-        write_figure(folder, name, drawn, columns)
+    drawn = figures(comparison)
+    for picture in drawn:
+        write_picture(folder, picture)  # before the page, which makes it small
+    write_text_atomic(folder / PAGE, page(comparison, drawn))
 
 
 def _print(comparison: Comparison) -> None:
     print(comparison.headline())
     for line in comparison.remarks:
         print(line)
-    rows = [r for r in comparison.rows if r.differs is not False]
-    if rows:
-        cells = [(r.what, _cell(r.a), _cell(r.b), r.unit, _interval(r), _words(r)) for r in rows]
-        print_table(("quantity", *comparison.names, "unit", "difference, 95 %", "differs"), cells)
-
-
-def _cell(value: float | str | None) -> str:
-    return value if isinstance(value, str) else number(value)
-
-
-def _interval(r: Difference) -> str:
-    return (
-        "-" if r.ci95 is None or not all(map(math.isfinite, r.ci95)) else " to ".join(number(end, 3) for end in r.ci95)
-    )
-
-
-def _words(r: Difference) -> str:
-    return "not known" if r.differs is None else "yes"
+    rows = comparison.table([r for r in comparison.rows if r.differs is not False])
+    if rows.rows:
+        print_table(rows.header, rows.cells(number))

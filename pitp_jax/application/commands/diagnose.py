@@ -17,16 +17,16 @@ from ...files.mjcf.write import identified_name, write_mjcf
 from ...files.model_file.model_file import save
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
+from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
 from ..against.entry import with_lineage
 from ..against.result import SimToReal
 from ..pages.against import figures as figures_beside
 from ..pages.against import page
-from ..pages.diagnosis.answers import NEXT_CSV
-from ..pages.diagnosis.figures import FIGURES, figures
+from ..pages.diagnosis.figures import FIGURES, by_closed_fraction, figures
 from ..pages.diagnosis.page import report
-from ..pages.drawn import write_figure
+from ..pages.drawn import write_picture
 from .console import StatusLine, number, print_table, say
 from .ours import check_replaceable
 from .outputs import MODEL, REPORT, check_outputs, staged, write_json
@@ -205,18 +205,18 @@ def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
     """Write the pages and their figures into a folder; those that fail are reported and left out."""
     robot = _robot_of(diagnosis)
 
-    def write(name, drawing, columns=None):
-        _attempt(f"the figure {name}", lambda: write_figure(folder, name, drawing, columns))
+    def write(picture):
+        _attempt(f"the figure {picture.name}", lambda: write_picture(folder, picture))
 
     drawn = _attempt("the figures", lambda: figures(robot)) or {}
-    for name, drawing in drawn.items():
-        write(name, drawing)  # before the page, which makes it small
+    for picture in drawn.values():
+        write(picture)  # before the page, which makes it small
     robot_page = REPORT if robot is diagnosis else ROBOT
     _attempt(robot_page, lambda: write_text_atomic(folder / robot_page, report(robot, drawn)))
     if isinstance(diagnosis, SimToReal):
-        beside = _attempt("the figures of robot and simulator", lambda: figures_beside(diagnosis)) or {}
-        for name, (drawing, columns, _) in beside.items():
-            write(name, drawing, columns)
+        beside = _attempt("the figures of robot and simulator", lambda: figures_beside(diagnosis)) or []
+        for picture in beside:
+            write(picture)
         _attempt(REPORT, lambda: write_text_atomic(folder / REPORT, page(diagnosis, beside)))
 
 
@@ -235,11 +235,8 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
         _print_ranking(diagnosis)
         return
     print(diagnosis.robot)
-    rows = [
-        (p.words, number(p.simulator), number(p.robot), number(p.difference), number(p.stderr, 2), p.unit, p.mujoco)
-        for p in diagnosis.parameters
-    ]
-    print_table(("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo"), rows)
+    rows = diagnosis.table()
+    print_table(rows.header[:7], [row[:7] for row in rows.cells(number)])  # the page has the other programs' names
     for line in diagnosis.remarks():
         print(line)
 
@@ -247,7 +244,7 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
 def _print_ranking(diagnosis: Diagnosis) -> None:
     """Print the best candidate effects; * marks those that are reported, = those that fit as well as the first."""
     rows = []
-    for r in diagnosis.ranking[:_ROWS]:
+    for r in by_closed_fraction(diagnosis.ranking)[:_ROWS]:
         mark = " =" if r.effect in diagnosis.equivalent else ""
         mark = " *" if r.effect in diagnosis.effects else mark
         ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)

@@ -21,6 +21,7 @@ import numpy as np
 
 from ... import __version__
 from ...common.errors import BadInput
+from ...common.page import Link, Page
 from ...files.recordings.writing import is_stream, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
 
@@ -170,13 +171,11 @@ def write_index(folder: Path, stage: Path) -> None:
                 pages[path.relative_to(home).as_posix()] = path
     index = folder / INDEX
     if pages and (not index.exists() or is_page(index)):
-        from ..pages import html  # imported here, because matplotlib takes half a second
-
         titles = {
             name: re.search("<title>(.*?)</title>", path.read_text(encoding="utf-8")) for name, path in pages.items()
         }
-        links = [html.link(name, unescape(title[1]) if title else name) for name, title in sorted(titles.items())]
-        write_text_atomic(stage / INDEX, html.page("Pages of this folder", [html.tag("h1", "Pages"), *links]))
+        links = [Link(name, unescape(title[1]) if title else name) for name, title in sorted(titles.items())]
+        write_text_atomic(stage / INDEX, Page("Pages", "Pages of this folder", links).html())
 
 
 def _missing_parents(target: Path) -> list[Path]:

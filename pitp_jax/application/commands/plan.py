@@ -11,7 +11,7 @@ from ...common.units import column_name, spelt
 from ...files.model_file.model_file import is_model_file, load
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ...method.model.units import units_of
-from ..pages.plan import headline, page
+from ..pages.plan import headline, page, table
 from ..plan.planning import REACHED, Plan
 from ..plan.planning import plan as make_plan
 from .amounts import Amount, in_base
@@ -84,24 +84,10 @@ def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
 
 
 def _print(planned: Plan, modelled: bool) -> None:
-    drive, stroke = planned.limits.units.input, planned.limits.units.limit
     print(headline(planned, modelled))
-    rows = []
-    for r in planned.recordings:
-        inputs = (number(float(drive.shown(np.abs(r.voltage).max()))), number(drive.shown(r.slew)))
-        expected = (number(stroke.shown(r.stroke), 3), number(stroke.shown(r.stroke_half_damped), 3))
-        bound = "" if np.isinf(r.go_on) else number(stroke.shown(r.go_on), 3)
-        rows.append((r.name, number(r.seconds), *inputs, *expected, bound, r.purpose))
-    if rows:
-        strokes = (
-            f"stroke ({stroke.unit})",
-            "stroke with half the damping",
-            "play it only if no earlier stroke exceeded",
-        )
-        print_table(
-            ("recording", "seconds", f"largest ({drive.unit})", f"steepest ({drive.rate})", *strokes, "purpose"),
-            rows,
-        )
+    if planned.recordings:
+        rows = table(planned)
+        print_table(rows.header, rows.cells(lambda value: number(value, 3)))
     if any(np.isfinite(r.go_on) for r in planned.recordings):
         print(REACHED)
     for note in planned.notes:

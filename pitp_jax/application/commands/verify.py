@@ -5,7 +5,7 @@ from ...common.units import from_base
 from ...files.mjcf.verify import Verification, verify_mjcf
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ..pages.drawn import write_picture
-from ..pages.mjcf import figures, page
+from ..pages.mjcf import figures, page, table
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import read_records
@@ -46,8 +46,8 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
             drawn = figures(found)
-            for name, drawing in drawn.items():
-                write_picture(stage, name.lstrip("/"), drawing)
+            for picture in drawn:
+                write_picture(stage, picture)  # before the page, which makes it small
             write_text_atomic(stage / REPORT, page(found, drawn))
     _print(found)
     if found.better is False:
@@ -68,10 +68,7 @@ def one_joint(joint: list[str] | None) -> str:
 
 
 def _print(found: Verification) -> None:
-    rows = []
-    for p in found.played:
-        before = "-" if p.before is None else number(p.gap(after=False), 3)
-        rows.append((p.record.name, "no" if p.held_out else "yes", before, number(p.gap(), 3)))
-    print_table(("recording", "used by the diagnosis", "gap before (%)", "gap after (%)"), rows)
+    rows = table(found)
+    print_table(rows.header, rows.cells(lambda value: number(value, 3)))
     for line in found.lines():
         print(line)

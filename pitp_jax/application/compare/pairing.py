@@ -48,6 +48,12 @@ class Pair:
         sign = -1 if self.correlation < 0 else 1
         return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
 
+    @property
+    def output_offset(self) -> float:
+        """Return the mean of the second output less the first, base unit: a constant, which is not a difference."""
+        apart = self.output() - self.first.displacement
+        return float(np.nanmean(apart)) if np.isfinite(apart).any() else 0.0
+
     def output(self) -> np.ndarray:
         """Return the second recording's output at the times of the first, equal in sign, nan where missing, (T,)."""
         return self.output_sign * _at(self.first, self.second, self.offset)

@@ -30,6 +30,7 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
     remarks = pairs.remarks(*names)
     if pairs.pairs:
         rows = [row for pair in pairs.pairs for row in _outputs(pair, names[0])]
+        remarks += _offset_lines(pairs.pairs, names)
         return Comparison("records", names, tuple(rows), tuple(remarks), pairs)
     try:
         models = [linear_model_of(records).model for records in (a, b)]
@@ -64,6 +65,19 @@ def _may_be_squared(record: Record) -> bool:
     return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
+def _offset_lines(pairs: Sequence[Pair], names: tuple[str, str]) -> list[str]:
+    """Write the constant offsets between the outputs where one exceeds the remaining rms difference of its pair."""
+    unit = pairs[0].first.displacement_unit
+    if all(abs(p.output_offset) <= np.nanstd(p.output() - p.first.displacement) for p in pairs):
+        return []
+    offsets = sorted(float(from_base(p.output_offset, unit)) for p in pairs)
+    ends = " to ".join(dict.fromkeys(number(v, 3) for v in (offsets[0], offsets[-1])))
+    return [
+        f"The output of the {names[1]} minus that of the {names[0]} has a constant offset of {ends} {unit}, which was "
+        "subtracted. This is not a difference."
+    ]
+
+
 def _outputs(pair: Pair, first: str) -> list[Difference]:
     """Compare the second output of a pair with the first: size, time lag and rms difference."""
     a, unit = pair.first, pair.first.displacement_unit
@@ -84,7 +98,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
     name = a.name if a.name == pair.second.name else f"{a.name}, {pair.second.name}"
     stroke = float(from_base(np.ptp(y[seen]), unit))
-    apart = np.sqrt(np.mean((other - y - np.mean((other - y)[seen]))[seen] ** 2))  # without the offset
+    apart = np.sqrt(np.mean((other - y - pair.output_offset)[seen] ** 2))
     difference, floor = (float(from_base(v, unit)) for v in (apart, noise))
     return [
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),

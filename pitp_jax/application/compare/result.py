@@ -5,11 +5,14 @@ a quantity differs if that interval excludes 0; None if a standard error is unkn
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from ...common.numbers import number
+from ...common.page import Page, Section, Table
 from ...common.shown import data_frame
+from ...common.units import from_base
 from .pairing import Pairing
 
 if TYPE_CHECKING:
@@ -85,11 +88,26 @@ class Comparison:
         shown = lines[: _LINES - 1] if more else lines
         return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
 
-    def _repr_html_(self) -> str:
-        """Write the first part of the HTML page: headline, remarks and differences."""
-        from ..pages.compare import first_screen
+    def table(self, rows: Sequence[Difference]) -> Table:
+        """Return the table of some quantities, for the page and the terminal."""
+        answers = {None: "not known", True: "yes", False: "no"}
+        cells = []
+        for r in rows:
+            known = r.ci95 is not None and all(map(math.isfinite, r.ci95))
+            ends = " to ".join(number(end, 3) for end in r.ci95) if r.ci95 and known else "-"
+            cells.append((r.what, r.a, r.b, r.unit, ends, answers[r.differs]))
+        header = ("quantity", *self.names, "unit", "difference, 95 %", "differs")
+        return Table(header, cells, "In the order of the recordings." * (self.kind == "records"), text=(0, 3))
 
-        return first_screen(self)
+    def summary(self) -> Page:
+        """Return the first screen of the page: headline, remarks and differences."""
+        kind = f"Comparison of two {'sets of recordings' if self.kind == 'records' else self.kind}"
+        differences = Section("What differs", [self.table(self.different)])
+        return Page(self.headline(), kind, [list(self.remarks), differences])
+
+    def _repr_html_(self) -> str:
+        """Write the first screen of the page as HTML, for notebooks."""
+        return self.summary().first_screen()
 
     def frame(self) -> "pd.DataFrame":
         """Return a table with a row per quantity: what, a, b, unit, interval of the difference, whether it differs."""
@@ -99,7 +117,9 @@ class Comparison:
         """Return the JSON of `pitp compare --json` as a dict."""
         rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
         pairs = [] if self.pairs is None else [
-            {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation}
+            {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation,
+             "output_offset": float(from_base(p.output_offset, p.first.displacement_unit)),
+             "output_unit": p.first.displacement_unit}
             for p in self.pairs.pairs
         ]  # fmt: skip
         return {"kind": self.kind, "names": list(self.names), "differs": bool(self.different), "rows": rows,

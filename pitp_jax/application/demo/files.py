@@ -7,24 +7,33 @@ figures/   the paper's figures, each with its numbers as CSV
 """
 
 from pathlib import Path
-from typing import cast
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.figure import Figure
 
 from ...method.model.model import Model
 from ...files.model_file.model_file import save
 from ...method.signal.record import Record
 from ...files.recordings.writing import write_csv, write_text_atomic
-from ..pages import paper_figures
+from ..pages.drawing import (
+    CYCLE,
+    DRIVE,
+    ERROR,
+    PREDICTED,
+    Picture,
+    beside,
+    figure_of,
+    finish,
+    own_axes,
+    signals,
+    volts,
+)
 from ..pages.drawn import FIGURES as HOME
-from ..pages.drawn import write_figure
+from ..pages.drawn import write_picture
 from ...method.simulate import decoder
 from .protocol import Demo, Table, excitations, kind, nearest, tables
 
-SWEEP_HZ = {"cone": (0.01, 20.0), "roll": (0.01, 180.0)}
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
 FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
 RECORDS, HELD_OUT = "records", "held_out"
@@ -63,7 +72,7 @@ def write(demo: Demo, folder: Path) -> None:
     write_csv(folder / "target.csv", {"time_s": last.time, "displacement_m": last.target})
     figures = (_sweep(demo), _prediction(demo), _loops(demo), _tokens(demo), _tracking(demo))
     for name, figure in zip(FIGURES, figures, strict=True):
-        write_figure(folder, name, cast(Figure, figure))
+        write_picture(folder, Picture(name, figure, ""))
 
 
 def recordings(name: str, quick: bool) -> set[str]:
@@ -85,28 +94,31 @@ def _cell(value) -> str:
 
 def _sweep(demo: Demo):
     r, p = demo.sweep, demo.linear[demo.sweep.name]
-    axes = paper_figures.sweep_response(r.time, r.displacement, p.displacement, sweep_hz=SWEEP_HZ[kind(demo.name)])
-    return axes.figure
+    return _beside(r.time, r.displacement, p.displacement)
 
 
 def _prediction(demo: Demo):
     """Draw measured and predicted output of the last held-out sine."""
     r = [record for record in demo.test if record.name.startswith("sine")][-1]
-    return paper_figures.prediction(r.time, r.displacement, demo.predicted[r.name].displacement)[0].figure
+    return _beside(r.time, r.displacement, demo.predicted[r.name].displacement)
+
+
+def _beside(time, wanted, reached, names=("measured", "predicted")):
+    labels = ("displacement (mm)", "error (mm)")
+    return beside(time, (names[0], 1e3 * wanted), [(names[1], 1e3 * reached, PREDICTED)], labels)
 
 
 def _loops(demo: Demo):
-    """Draw output over voltage for one steady-state period at each frequency of Table II."""
-    axes = None
-    for t in demo.tracks:
+    """Draw output over voltage for one steady-state period at each frequency of Table II; dashed: predicted."""
+    ax = own_axes(None, 1, (3.6, 3.2))[0]
+    for t, color in zip(demo.tracks, CYCLE, strict=False):
         r = nearest(demo.train, demo.name, t.frequency)
         last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the voltage: x has twice its frequency
-        predicted = demo.predicted[r.name].displacement
-        axes = paper_figures.hysteresis_loops(
-            r.voltage[last], r.displacement[last], predicted[last], axes, label=f"{t.frequency:g} Hz"
-        )
-    assert axes is not None
-    return axes.figure
+        voltage = volts(r.voltage[last])[0]
+        ax.plot(voltage, 1e3 * r.displacement[last], color=color, alpha=0.6, lw=1.8, label=f"{t.frequency:g} Hz")
+        ax.plot(voltage, 1e3 * demo.predicted[r.name].displacement[last], color=color, lw=1.0, ls="--")
+    finish(np.array([ax]), volts(demo.tracks[0].voltage)[1], ["displacement (mm)"])
+    return figure_of(ax)
 
 
 def _tokens(demo: Demo):
@@ -114,9 +126,9 @@ def _tokens(demo: Demo):
     t = demo.tracks[1]
     r = nearest(demo.train, demo.name, t.frequency)
     model = demo.training.model.model
-    values = token_history(model, r)
     names = [rf"$\sigma_{i} / \sigma_{i}^0$" for i in range(model.order + 1)] + [r"$\sigma_{off}$"]
-    return paper_figures.tokens(r.time, values, names)[0].figure
+    values = token_history(model, r).T
+    return signals(r.time, [(name, row, PREDICTED) for name, row in zip(names, values, strict=True)])
 
 
 def token_history(model: Model, record: Record) -> np.ndarray:
@@ -128,5 +140,6 @@ def token_history(model: Model, record: Record) -> np.ndarray:
 
 
 def _tracking(demo: Demo):
+    """Draw a target and the output that was reached."""
     t = demo.tracks[1]
-    return paper_figures.tracking(t.time, t.target, t.achieved, t.voltage)[0].figure
+    return _beside(t.time, t.target, t.achieved, ("target", "achieved"))

@@ -1,1 +1,1 @@
-"""Draw figures (data in m, V and s, shown in mm, V or kV, and s), format numbers, and write pages."""
+"""Pages of all results, figures with their numbers, and a model in plain values."""

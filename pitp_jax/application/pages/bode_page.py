@@ -4,51 +4,39 @@ G(jw) = polarity e^{-jw delay} / sum_i a_i (jw)^i
 """
 
 import numpy as np
-from matplotlib.figure import Figure
+from matplotlib.axes import Axes
 
 from ...common.numbers import figure, shown_unit, with_error
+from ...common.page import Page, Section, Table
 from ...common.quantity import grouped
 from ...method.identify.identification import Identification
 from ...method.identify.order_fit import OrderFit
 from ...method.model.units import units_of
-from . import html
 from .description import sensor_line
-from .html import tag
-from .lines import CYCLE, MEASURED, finish, own_axes
+from .drawing import CYCLE, MEASURED, Picture, figure_of, finish, own_axes
 
 
 def bode_page(fits: Identification, name: str) -> str:
     """Write an HTML page on an identification whose model file is `name`."""
-    chosen = fits.chosen
-    kind = f"hold {chosen.hold}"
-    if chosen.static or chosen.integrates:
-        kind = "static" if chosen.static else "without a spring"
+    chosen, count = fits.chosen, len(fits.beginnings)
+    hold = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
-    parts = [
-        tag(
-            "p",
-            f"Identification of {name} on {len(fits.beginnings)} recording{'s'[: len(fits.beginnings) != 1]}",
-            "soft",
-        ),
-        tag("h1", f"Order {chosen.order}, {kind}{delay}"),
-        *[tag("p", remark, "lead") for remark in (_why(fits), sensor_line(fits.model), *fits.remarks)],
-        '<div class="figures">',
-        html.picture("bode", _bode(fits), "Grey: measured, with two standard errors; lines: the models of each order."),
-        html.picture("coherence", _coherence(fits), "Fraction of the output that is linear in the input (coherence)."),
-        html.picture(
-            "residuals",
-            _residuals(fits),
-            "Grey band: a white residual stays within it at all lags in 95 % of cases.",
-        ),
-        "</div>",
-        tag("h2", "Orders compared"),
-        html.table(_ORDERS, [("named" if o is chosen else "", _order(o)) for o in fits.orders], {}),
-        tag("h2", "Poles of the model"),
-        html.table(("pole", "damping"), [("", row) for row in _poles(chosen)], {0: "left"}),
-        tag("h2", "Residual"),
-        tag("p", _leaves(fits)),
+    orders = [
+        (str(o.order), o.hold, 1e3 * o.delay if o.delay else None, o.heldout, o.rms, "yes" if o.identifiable else "no")
+        for o in fits.orders
     ]
-    return html.page(f"Order {chosen.order}", parts)
+    header = ("order", "hold", "delay, ms", "held out, % of std", "in sample, rms", "determined")
+    bold = [o is chosen for o in fits.orders]
+    return Page(
+        f"Order {chosen.order}, {hold}{delay}",
+        f"Identification of {name} on {count} recording{'s'[: count != 1]}",
+        [_why(fits), sensor_line(fits.model), *fits.remarks, [_bode(fits), _coherence(fits), _residuals(fits)]],
+        [
+            Section("Orders compared", [Table(header, orders, "By order; bold: chosen.", bold, (0, 1))]),
+            Section("Poles of the model", [_poles(chosen)]),
+            Section("Residual", [_whiteness(fits)]),
+        ],
+    ).html()
 
 
 def _why(fits: Identification) -> str:
@@ -70,17 +58,12 @@ def _why(fits: Identification) -> str:
     )
 
 
-_ORDERS = ("order", "hold", "delay, ms", "held out, % of std", "in sample, rms", "determined")
-
-
-def _order(fit: OrderFit) -> tuple[str, ...]:
-    delay = figure(1e3 * fit.delay, 3) if fit.delay else "–"
-    return str(fit.order), fit.hold, delay, figure(fit.heldout), figure(fit.rms), "yes" if fit.identifiable else "no"
-
-
-def _poles(fit: OrderFit) -> list[tuple[str, str]]:
-    rows = zip(fit.natural_hz, fit.natural_stderr, fit.damping, strict=True)
-    return [(with_error(float(hz), float(error), "Hz"), figure(float(damping))) for hz, error, damping in rows]
+def _poles(fit: OrderFit) -> Table:
+    rows = [
+        (with_error(float(hz), float(error), "Hz"), float(damping))
+        for hz, error, damping in zip(fit.natural_hz, fit.natural_stderr, fit.damping, strict=True)
+    ]
+    return Table(("pole", "damping"), rows)
 
 
 def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
@@ -89,45 +72,47 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
     return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
 
 
-def _bode(fits: Identification) -> Figure:
-    axes = own_axes(None, 2, (5.0, 5.2))
-    seen, units = fits.response.coherent, units_of(fits.model)
+def _bode(fits: Identification) -> Picture:
+    axes, r, seen = own_axes(None, 2, (5.0, 5.2)), fits.response, fits.response.coherent
+    units = units_of(fits.model)
     per_unit = units.force_factor / units.si.factor  # the response is in base units
-    hz, value, stderr = (
-        fits.response.hz[seen],
-        *(per_unit * v[seen] for v in (fits.response.value, fits.response.stderr)),
-    )
+    hz, value, error = r.hz[seen], per_unit * r.value[seen], 2 * per_unit * r.stderr[seen]
     if len(hz):
-        grid = np.geomspace(hz.min(), hz.max(), 300)
-        size = np.abs(value)
-        axes[0].fill_between(
-            hz, np.maximum(size - 2 * stderr, 1e-3 * size), size + 2 * stderr, color=MEASURED, alpha=0.4
-        )
-        axes[0].loglog(hz, size, ".", ms=3, color=MEASURED, label="measured")
-        axes[1].semilogx(hz, np.unwrap(np.angle(value)) * 180 / np.pi, ".", ms=3, color=MEASURED)
+        grid, size = np.geomspace(hz.min(), hz.max(), 300), np.abs(value)
+        lowest = np.maximum(size - error, 1e-3 * size)
+        # a frequency whose error exceeds its response would stretch the axis over decades
+        axes[0].fill_between(hz, lowest, np.minimum(size + error, 2 * size.max()), color=MEASURED, alpha=0.4)
+        _response(axes, hz, value, ".", ms=3, color=MEASURED, label="measured")
         for fit, color in zip(fits.orders, CYCLE, strict=False):
-            model = per_unit * response_of(fit, grid)
             width = 1.8 if fit is fits.chosen else 0.8
-            axes[0].loglog(grid, np.abs(model), color=color, lw=width, label=f"order {fit.order}")
-            axes[1].semilogx(grid, np.unwrap(np.angle(model)) * 180 / np.pi, color=color, lw=width)
+            _response(
+                axes, grid, per_unit * response_of(fit, grid), "-", color=color, lw=width, label=f"order {fit.order}"
+            )
     unit = f"{units.si.unit}/{grouped(shown_unit(units.force))}"
-    finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"], 2)
-    return axes[0].figure  # pyright: ignore[reportReturnType]
+    finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"])
+    return Picture(
+        "bode", figure_of(axes), "Grey: measured, with two standard errors; lines: the models of each order."
+    )
 
 
-def _leaves(fits: Identification) -> str:
+def _response(axes: np.ndarray, hz: np.ndarray, value: np.ndarray, mark: str, **style) -> None:
+    axes[0].loglog(hz, np.abs(value), mark, **style)
+    axes[1].semilogx(hz, np.unwrap(np.angle(value)) * 180 / np.pi, mark, **style)
+
+
+def _whiteness(fits: Identification) -> str:
     """Write in one sentence whether the residual is white and whether it depends on the input."""
     tested = fits.residuals
-    own = "is white noise" if tested.white else "is correlated with its own past"
+    past = "is white noise" if tested.white else "is correlated with its own past"
     drive = (
         "it does not depend on the input"
         if tested.independent
         else "it still depends on the input: this order lacks dynamics or a nonlinearity"
     )
-    return f"The residual {own}; {drive}."
+    return f"The residual {past}; {drive}."
 
 
-def _residuals(fits: Identification) -> Figure:
+def _residuals(fits: Identification) -> Picture:
     axes, tested = own_axes(None, 2, (5.0, 3.6)), fits.residuals
     rows = ((tested.own, tested.own_band), (tested.drive, tested.drive_band))
     for ax, (correlation, band) in zip(axes, rows, strict=True):
@@ -135,11 +120,12 @@ def _residuals(fits: Identification) -> Figure:
         ax.plot(tested.lag, correlation, ".-", ms=3, lw=0.8, color=CYCLE[0])
     axes[0].set_ylim(-1.05, 1.05)
     finish(axes, "lag (s)", ["autocorrelation\nof the residual", "correlation\nwith the force"])
-    return axes[0].figure  # pyright: ignore[reportReturnType]
+    caption = "Grey band: a white residual stays within it at all lags in 95 % of cases."
+    return Picture("residuals", figure_of(axes), caption)
 
 
-def _coherence(fits: Identification) -> Figure:
-    ax = own_axes(None, 1, (5.0, 2.2))[0]
+def _coherence(fits: Identification) -> Picture:
+    ax: Axes = own_axes(None, 1, (5.0, 2.2))[0]
     ax.semilogx(fits.response.hz, fits.response.coherence, ".", ms=3, color=MEASURED)
     finish(np.array([ax]), "frequency (Hz)", ["coherence"])
-    return ax.figure  # pyright: ignore[reportReturnType]
+    return Picture("coherence", figure_of(ax), "Fraction of the output that is linear in the input (coherence).")

@@ -1,6 +1,6 @@
 """Write a figure with its numbers as a table: every line, point and bar of all axes."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -8,36 +8,30 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
 from ...files.recordings.writing import write_csv, write_text_atomic
+from .drawing import Picture
 
 FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 
 
-def write_figure(folder: Path, name: str, drawn: Figure, columns: Mapping[str, np.ndarray] | None = None) -> None:
+def write_picture(folder: Path, picture: Picture) -> None:
     """Write `figures/NAME.png` and the numbers of the figure as `figures/NAME.csv` into a folder.
 
     Args:
         folder: where `figures/` is made if it is missing.
-        name: of the figure.
-        drawn: the figure.
-        columns: its numbers; None takes those of its axes (axes, series, x, y).
+        picture: the figure; without columns the numbers are those of its axes (axes, series, x, y).
 
     Raises:
         BadInput: a file cannot be written.
     """
-    home = folder / FIGURES
-    write_picture(folder, name, drawn)
-    if columns is not None:
-        write_csv(home / f"{name}.csv", columns)
-        return
-    rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(drawn)]
-    write_text_atomic(home / f"{name}.csv", "\n".join(["axes,series,x,y", *rows]) + "\n")
-
-
-def write_picture(folder: Path, name: str, drawn: Figure) -> None:
-    """Write a figure as `figures/NAME.png` into a folder."""
-    file = folder / FIGURES / f"{name}.png"
+    file = folder / FIGURES / f"{picture.name}.png"
     file.parent.mkdir(parents=True, exist_ok=True)
-    drawn.savefig(file, dpi=150)
+    picture.drawn.savefig(file, dpi=150)
+    table = file.with_name(f"{file.name.removesuffix('.png')}.csv")
+    if picture.columns is not None:
+        write_csv(table, picture.columns)
+        return
+    rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(picture.drawn)]
+    write_text_atomic(table, "\n".join(["axes,series,x,y", *rows]) + "\n")
 
 
 def _rows(drawn: Figure) -> Iterator[tuple[str, str, float, float]]:

@@ -1,17 +1,13 @@
 """Write the page of a plan: the recordings to play in order, the purpose of each, and when to stop."""
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from ...common.numbers import figure
+from ...common.page import Card, Page, Section, Table
 from ...common.units import column_name
-from ..plan.drives import Planned
 from ..plan.planning import REACHED, Plan
 from ..plan.strokes import LEAST_DAMPING
-from . import html
-from .html import tag
-from .lines import DRIVE, finish, line, own_axes, volts
+from .drawing import DRIVE, Picture, signals, volts
 
 
 def page(plan: Plan, model: str = "") -> str:
@@ -21,17 +17,14 @@ def page(plan: Plan, model: str = "") -> str:
         plan: result of `plan`.
         model: file of its model; empty for a first session.
     """
-    title = headline(plan, bool(model))
-    parts = [
-        tag("p", f"Plan of recordings{f' for {model}' if model else ': a first session'}", "soft"),
-        tag("h1", title),
-        tag("p", _lead(plan), "lead"),
-        f'<div class="cards">{"".join(_cards(plan))}</div>',
-        *([tag("h2", "What to play"), _table(plan), _pictures(plan)] if plan.recordings else []),
-        tag("h2", "How to read this"),
-        *(tag("p", text) for text in _reading(plan)),
-    ]
-    return html.page(title, parts)
+    unit = plan.limits.units.input.unit
+    drawn = []
+    for k, r in enumerate(plan.recordings):
+        voltage, label = volts(r.voltage, unit)
+        drawn.append(Picture(f"drive{k}", signals(r.time, [(label, voltage, DRIVE)]), f"{r.name}: {r.kind}"))
+    kind = f"Plan of recordings{f' for {model}' if model else ': a first session'}"
+    rest = [Section("What to play", [table(plan), drawn]), Section("How to read this", _reading(plan))]
+    return Page(headline(plan, bool(model)), kind, [_lead(plan), _cards(plan)], rest).html()
 
 
 def headline(plan: Plan, modelled: bool) -> str:
@@ -47,58 +40,43 @@ def _lead(plan: Plan) -> str:
         rest = f"0 {plan.limits.units.input.unit}"
         return f"Play the files in the order of their numbers, small ones first. Each starts and ends at {rest}."
     before, after = plan.expected[0], plan.expected[-1]
+    text = f"On inputs not recorded yet, the expected error of the model is {figure(before, 2)} % of range"
     if not plan.recordings:
-        return f"On inputs not recorded yet, the expected error of the model is {figure(before, 2)} % of range."
-    return (
-        f"On inputs not recorded yet, the expected error of the model is {figure(before, 2)} % of range now and "
-        f"{figure(after, 2)} % after these recordings (noise not counted)."
-    )
+        return f"{text}."
+    return f"{text} now and {figure(after, 2)} % after these recordings (noise not counted)."
 
 
-def _cards(plan: Plan) -> list[str]:
+def _cards(plan: Plan) -> list[Card]:
     x = plan.limits
     rests = sum(r.rest for r in plan.recordings)
     drive, stroke = x.units.input, x.units.limit
     low, high, slew = (figure(float(drive.shown(v))) for v in (x.low, x.high, x.slew))
-    far = "" if x.farthest == np.inf else f"Stroke at most {figure(stroke.shown(x.farthest))} {stroke.unit}."
+    far = "" if x.farthest == np.inf else f" Stroke at most {figure(stroke.shown(x.farthest))} {stroke.unit}."
     cards = [
-        html.card("Limits", f"{low} to {high} {drive.unit}", tag("p", f"At most {slew} {drive.rate}. {far}")),
-        html.card("Band", f"{figure(x.band[0])} to {figure(x.band[1])} Hz", tag("p", f"{figure(x.rate)} samples/s.")),
+        Card("Limits", f"{low} to {high} {drive.unit}", [f"At most {slew} {drive.rate}.{far}"]),
+        Card("Band", f"{figure(x.band[0])} to {figure(x.band[1])} Hz", [f"{figure(x.rate)} samples/s."]),
     ]
     if plan.recordings:
-        lines = tag("p", f"{figure(rests)} s of rest at 0 {drive.unit} between them.") + html.bullets(plan.notes)
-        cards.append(html.card("Time", f"{figure(plan.seconds + rests)} s in all", lines))
+        lines = [f"{figure(rests)} s of rest at 0 {drive.unit} between them.", *plan.notes]
+        cards.append(Card("Time", f"{figure(plan.seconds + rests)} s in all", lines))
     return cards
 
 
-def _table(plan: Plan) -> str:
+def table(plan: Plan) -> Table:
+    """Return the recordings to play, for the page and the terminal."""
     drive, stroke = plan.limits.units.input, plan.limits.units.limit
     header = (
         "recording", "kind", "length (s)", "rest (s)", f"largest ({drive.unit})", f"steepest ({drive.rate})",
         f"stroke ({stroke.unit})", f"with half the damping ({stroke.unit})",
-        "play only if no earlier stroke exceeded", "purpose",
+        f"play only if no earlier stroke exceeded ({stroke.unit})", "purpose",
     )  # fmt: skip
     rows = []
     for r in plan.recordings:
-        inputs = (float(drive.shown(np.abs(r.voltage).max())), drive.shown(r.slew))
-        numbers = (r.seconds, r.rest, *inputs, stroke.shown(r.stroke), stroke.shown(r.stroke_half_damped))
-        bound = "–" if r.go_on == np.inf else f"{figure(stroke.shown(r.go_on))} {stroke.unit}"
-        rows.append(("", (r.name, r.kind, *(figure(v) for v in numbers), bound, r.purpose)))
-    return html.telling_table(header, rows, {1: "left", 9: "long"})
-
-
-def _pictures(plan: Plan) -> str:
-    unit, rows = plan.limits.units.input.unit, enumerate(plan.recordings)
-    drawn = (html.picture(f"drive{k}", _drawn(r, unit), f"{r.name}: {r.kind}") for k, r in rows)
-    return f'<div class="figures">{"".join(drawn)}</div>'
-
-
-def _drawn(recording: Planned, unit: str) -> Figure:
-    ax: Axes = own_axes(None, 1, (5.0, 1.5))[0]
-    voltage, label = volts(recording.voltage, unit)
-    line(ax, recording.time, voltage, color=DRIVE, lw=0.8)
-    finish(np.array([ax]), "time (s)", [label])
-    return ax.figure  # pyright: ignore[reportReturnType]
+        inputs = (float(drive.shown(np.abs(r.voltage).max())), float(drive.shown(r.slew)))
+        strokes = (float(stroke.shown(r.stroke)), float(stroke.shown(r.stroke_half_damped)))
+        bound = None if r.go_on == np.inf else float(stroke.shown(r.go_on))
+        rows.append((r.name, r.kind, r.seconds, r.rest, *inputs, *strokes, bound, r.purpose))
+    return Table(header, rows, "In the order to play.", text=(0, 1, 9), left_out=("–", "", "0"))
 
 
 def _reading(plan: Plan) -> list[str]:

@@ -48,6 +48,7 @@ from .term import Term, term_of
 from .traces import Trace, traces_of
 from .verdict import Decision, decide, needed, rival_without, separable
 from .where import locate, motions, nowhere
+from .words import lines, summary
 
 T = TypeVar("T")
 
@@ -162,20 +163,16 @@ class Diagnosis:
 
     def __repr__(self) -> str:
         """Return the first lines of the diagnosis, at most ten."""
-        lines = str(self).splitlines()
-        more = [f"and {len(lines) - 9} lines more (print it)"] if len(lines) > 10 else lines[9:10]
-        return "\n".join([f"Diagnosis: {lines[0]}", *lines[1:9], *more])
+        text = str(self).splitlines()
+        more = [f"and {len(text) - 9} lines more (print it)"] if len(text) > 10 else text[9:10]
+        return "\n".join([f"Diagnosis: {text[0]}", *text[1:9], *more])
 
     def _repr_html_(self) -> str:
         """Return the first screen of the diagnosis page as HTML."""
-        from ...application.pages.diagnosis.page import first_screen
-
-        return first_screen(self)
+        return summary(self).first_screen()
 
     def __str__(self) -> str:
         """Return the diagnosis as a few lines for the terminal."""
-        from ...application.pages.diagnosis.words import lines
-
         return "\n".join([*lines(self), *(f"note: {line}" for line in self.notes if line != self.reason)])
 
 

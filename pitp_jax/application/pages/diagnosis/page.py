@@ -1,175 +1,205 @@
-"""Write the report: one page whose first screen shows where the gap lies, its cause, and its reduction."""
+"""Write the page of a diagnosis: its first screen, the answers as cards, figures, candidates and recordings."""
+
+from dataclasses import replace
 
 import numpy as np
-from matplotlib.figure import Figure
 
-from ....common.numbers import figure, interval, number, percent
+from ....common.numbers import figure, interval, of_range, percent
+from ....common.page import Card, Section, Table
 from ....method.diagnose import rules
 from ....method.diagnose.diagnosis import Diagnosis
-from ....method.diagnose.gap import Gap
-from ....method.diagnose.result import Ranked
+from ....method.diagnose.words import NEXT_CSV, errors, named, numbers_of, summary, worst
 from ....method.model.units import units_of
-from .. import html
-from ..html import tag
-from .answers import NEXT_CSV, budget_bar, cards, headline, next_step, verdict_text
-from .figures import figures
-from .gap_figure import errors, output_unit, worst
-from .which import parameter_lines
-from .words import certainty, numbers_of, result_line
+from ..drawing import Picture
+from .figures import by_closed_fraction, drive_unit, figures, fraction_closed, output_unit, refitted
+
+_NEAREST = 3  # candidates named on a card
+_GATHERED, _OVER = 0.6, 2.0  # a fraction that counts as concentrated, and its least ratio to the time spent there
 
 
-def report(diagnosis: Diagnosis, drawn: dict[str, Figure] | None = None) -> str:
+def report(d: Diagnosis, drawn: dict[str, Picture] | None = None) -> str:
     """Write a self-contained HTML page: verdict, location, cause and reduction of the gap, figures, tables.
 
     Args:
-        diagnosis: result of `diagnose`.
+        d: result of `diagnose`.
         drawn: its `figures`, which are reduced in size; None draws them.
     """
-    drawn = figures(diagnosis) if drawn is None else drawn
-    parts = [
-        *_first(diagnosis),
-        *_pictures(diagnosis, drawn),
-        *_next(diagnosis, drawn),
-        tag("h2", "All candidates"),
-        *_ranking(diagnosis),
-        tag("h2", "Recordings"),
-        *_records(diagnosis),
-        *_reading(diagnosis),
+    drawn = figures(d) if drawn is None else drawn
+    sections = [
+        [_where(d), _which(d), _how_far(d)],
+        Section("The gap at a glance", [[drawn[name] for name in ("gap", "ranking") if name in drawn]]),
+        Section("Where it lies", [[drawn[name] for name in ("where", "shares", "force") if name in drawn]]),
+        *_next(d, drawn),
+        Section("Parts of the gap", [budget_table(d.budget)]),
+        Section("All candidates", [_ranking(d)]),
+        Section("Recordings", [_records(d), [f"Note: {line}{'' if line[-1:] in '.?' else '.'}" for line in d.notes]]),
+        _reading(),
     ]
-    return html.page(headline(diagnosis), parts)
+    return replace(summary(d), rest=sections).html()
 
 
-def first_screen(diagnosis: Diagnosis) -> str:
-    """Return the result, its parts, the verdict and the three cards as HTML, without the page around them."""
-    return "".join(_first(diagnosis))
+def _where(d: Diagnosis) -> Card:
+    if d.verdict == "no_gap":
+        return Card("Where", "Nowhere", ["The remaining error is noise in every recording."])
+    band = max(d.where["frequency"], key=lambda row: row["share"])["band_hz"]
+    side = "held-out recording" if d.heldout else "recording"
+    of_gap = percent(d.where["records"].get(worst(d).name, 0.0))
+    lines = [*_concentrations(d)[:2], f"Worst {side}: {worst(d).name}, {of_gap} of the gap."]
+    return Card("Where", f"{figure(band[0])} to {figure(band[1])} Hz", lines)
 
 
-def _first(d: Diagnosis) -> list[str]:
-    verdict = [tag("p", f"{headline(d)}. {verdict_text(d)}", "lead"), tag("p", next_step(d), "lead")]
-    return [
-        tag("p", "Diagnosis: a model beside recordings of the real actuator", "soft"),
-        tag("h1", result_line(d), d.verdict),
-        *_parts(d),
-        *verdict,
-        budget_bar(d),
-        f'<div class="cards">{"".join(cards(d))}</div>',
+def _which(d: Diagnosis) -> Card:
+    if d.verdict == "no_gap":
+        return Card("Which", "None", ["No effect reduces the error below the model's own error."])
+    ranked = [r for r in by_closed_fraction(d.ranking) if r.effect not in d.effects][:_NEAREST]
+    nearest = [
+        f"{r.effect}: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range" for r in ranked
     ]
+    if d.equivalent:
+        nearest.insert(0, f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}.")
+    return Card("Which", named(d.effects) if d.effects else "No single cause is certain", nearest)
 
 
-def _parts(d: Diagnosis) -> list[str]:
-    """Return an HTML table of the effects in the returned model, with parameters and certainty."""
-    if not len(d.parts):
-        return []
-    header = ("part", "form", "values (95 % interval)", "of the reduction", "P", "certainty")
-    rows = []
-    for p in d.parts:
-        values = "; ".join(numbers_of(d, p, " = "))
-        share, sure = percent(p.fraction) if p.fraction else "", number(p.probability, 2)
-        rows.append(("named" if p.effect in d.effects else "", (p.effect, p.form, values, share, sure, certainty(p))))
-    return [html.table(header, rows, {1: "left", 2: "long", 5: "long"})]
+def _how_far(d: Diagnosis) -> Card:
+    g = d.gap
+    floor = "not known" if g.noise_floor is None else f"{of_range(g.noise_floor)} of range"
+    lines = [f"The model's own error: {floor} ({g.floor_from})."]
+    if refitted(d):
+        lines.append(f"Model as given: {of_range(g.unrefitted)}; refitted without any effect: {of_range(g.before)}.")
+    if d.verdict == "no_gap":
+        return Card("How far", f"{of_range(g.before)} of range", ["There is no gap to close.", *lines])
+    scale, unit = output_unit(d)
+    held = [t for t in d.traces if t.heldout] or d.traces
+    before, after = (
+        scale * np.sqrt(np.mean([np.nanmean((run - t.measured) ** 2) for t, run in runs]))
+        for runs in ([(t, t.nominal) for t in held], [(t, t.augmented) for t in held])
+    )
+    lines.append(f"In {unit}, rms: {figure(float(before), 2)} → {figure(float(after), 2)}.")
+    if d.heldout:
+        lines.append("Every recording was predicted by a fit that did not use it.")
+    return Card("How far", f"{of_range(g.before)} → {of_range(g.after)}", lines)
 
 
-def _pictures(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
-    """Return all figures except that of the next experiment as HTML, under their headings."""
-    shown = {name: html.picture(name, drawn[name], caption) for name, caption in _captions(d).items() if name in drawn}
-    rooms = {"The gap at a glance": ("gap", "ranking"), "Where it lies": ("where", "shares", "force")}
-    parts = []
-    for heading, names in rooms.items():
-        there = "".join(shown[name] for name in names if name in shown)
-        parts += [tag("h2", heading), f'<div class="figures">{there}</div>'] if there else []
-    return parts
+def _concentrations(d: Diagnosis) -> list[str]:
+    """Describe where most of the gap lies within a rarely visited part of an axis, the clearest case first."""
+    units, (scale, unit) = units_of(d.model), output_unit(d)
+    factor, command = drive_unit(units.input.unit)
+    facts = []
+    for axis, words, scaled, key in (
+        ("displacement", f"of the missing force acts at {units.output_word}s of {{}} to {{}} {unit}", scale, "range"),
+        ("voltage", f"of the missing force acts at {{}} to {{}} {command}", factor, "range"),
+        ("time", "of the error occurs between {} and {} % of a recording's length", 100.0, "part"),
+    ):
+        rows, spent = d.where[axis], _time_spent(d, axis)
+        run = _narrowest([row["share"] for row in rows])
+        if run is None:
+            continue
+        energy, there = sum(row["share"] for row in rows[slice(*run)]), float(spent[slice(*run)].sum())
+        if energy >= _OVER * there:
+            ends = (figure(scaled * v, 2) for v in (rows[run[0]][key][0], rows[run[1] - 1][key][1]))
+            rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
+            facts.append((there / energy, f"{percent(energy)} {words.format(*ends)}{rest}."))
+    return [text for _, text in sorted(facts)]
 
 
-def _captions(d: Diagnosis) -> dict[str, str]:
-    name, units = worst(d).name, units_of(d.model)
-    side = "held out" if d.heldout else "no recording was held out"
-    return {
-        "gap": f"{name} ({side}), the part with the largest error. Below: model minus measurement.",
-        "where": "Fraction of the missing force by frequency and amplitude of the input. Outlined: clearly above "
-        "average.",
-        "shares": "Fraction of the model's error by recording (dark: held out), by the frequency of the error, and by "
-        "part of a recording.",
-        "force": "Fraction of the missing force (the equation's residual along the measured motion) by "
-        f"{units.output_word}, {units.velocity_word} and {units.input_word}.",
-        "ranking": f"Fraction of the {'held-out ' if d.heldout else ''}gap that each effect closes by itself, with "
-        "its 95 % interval. At 100 % only the model's own error remains. Blue: reported; orange: tied with it.",
+def _time_spent(d: Diagnosis, axis: str) -> np.ndarray:
+    """Return the fraction of time in every bin of an axis of `Diagnosis.where`."""
+    rows = d.where[axis]
+    total = np.zeros(len(rows))
+    for t in () if axis == "time" else d.traces:
+        seen = t.measured[np.isfinite(t.measured)]
+        values = d.model.output.to_model(seen) if axis == "displacement" else t.voltage
+        if len(values):
+            edges = [row["range"][0] for row in rows] + [rows[-1]["range"][1]]
+            total += np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0] / len(values)
+    return total / total.sum() if total.sum() else np.full(len(rows), 1 / max(len(rows), 1))
+
+
+def _narrowest(fractions: list[float]) -> tuple[int, int] | None:
+    """Return (first, last) of the shortest run of neighbouring bins that holds most of the gap."""
+    runs = [
+        (last - first, -sum(fractions[first:last]), first, last)
+        for first in range(len(fractions))
+        for last in range(first + 1, len(fractions) + 1)
+        if sum(fractions[first:last]) >= _GATHERED
+    ]
+    return min(runs)[2:] if runs else None
+
+
+def budget_table(budget: dict) -> Table:
+    """Return the table of the gap's energy by cause."""
+    words = {
+        "nuisance": "sensor offsets and initial states",
+        "parameters": "changed coefficients",
+        "simulator": "the model of the simulator",
+        "unnamed": "predictable from the input, no single cause certain",
+        "unexplainable": "not predictable from the input",
     }
+    parts = [*budget.get("effects", {}).items(), *((text, budget[key]) for key, text in words.items() if key in budget)]
+    rows = []
+    for name, part in sorted(parts, key=lambda item: -item[1]["share"]):
+        ends = interval(*part["ci95"]) if part.get("ci95") else ""
+        rows.append((name, percent(part["share"]), ends, part.get("probability")))
+    header = ("part", "of the gap's energy", "95 % interval", "P")
+    return Table(header, rows, "The largest part first.")
 
 
-def _next(d: Diagnosis, drawn: dict[str, Figure]) -> list[str]:
+def _next(d: Diagnosis, drawn: dict[str, Picture]) -> list[Section]:
     e = d.next_experiment
     if e is None:
         return []
-    a, b = e.separates
     seconds = figure(float(e.time[-1] - e.time[0]), 2)
     text = (
-        f"To separate {a} from {b}, play this: {e.excitation}, for {seconds} s, within the "
+        f"To separate {' from '.join(e.separates)}, play this: {e.excitation}, for {seconds} s, within the "
         f"{units_of(d.model).input_word}s and slews already played ({NEXT_CSV}). The predicted outputs differ by "
         f"{figure(e.difference, 2)} times the noise."
     )
-    shown = html.picture("next", drawn["next_experiment"], f"To play: {e.excitation}.")
-    return [tag("h2", "The next experiment"), tag("p", text), f'<div class="figures">{shown}</div>']
+    return [Section("The next experiment", [text, [drawn["next_experiment"]]])]
 
 
-def _ranking(d: Diagnosis) -> list[str]:
-    header = ("effect", "form", "parameters", "fitted, error %", "held out, error %", "closed (95 % interval)")
+def _ranking(d: Diagnosis) -> Table:
     rows = []
     if len(d.effects) > 1:
-        rows.append(("named", (" + ".join(d.effects), "together", "", "", figure(d.gap.after), _closed(d.gap))))
-    for r in d.ranking:
+        rows.append((" + ".join(d.effects), "together", "", None, d.gap.after, _closed(d.gap)))
+    ranked = by_closed_fraction(d.ranking)
+    for r in ranked:
         tied = " (tied)" if r.effect in d.equivalent else ""
-        css = "named" if r.effect in d.effects else ""
-        figures_ = (figure(r.train), figure(r.heldout), _closed(r))
-        rows.append((css, (f"{r.effect}{tied}", r.form, "; ".join(parameter_lines(d, r)), *figures_)))
-    note = "Each effect alone, in its best form. Errors in % of a recording's range."
-    return [tag("p", note, "soft"), html.table(header, rows, {1: "left", 2: "long"})]
+        parameters = "; ".join(numbers_of(d, r, " = "))
+        rows.append((f"{r.effect}{tied}", r.form, parameters, r.train, r.heldout, _closed(r)))
+    bold = [True] * (len(rows) - len(ranked)) + [r.effect in d.effects for r in ranked]
+    header = ("effect", "form", "parameters", "fitted, error %", "held out, error %", "closed (95 % interval)")
+    note = (
+        "Each effect alone, in its best form; the largest closed fraction first. Errors in % of a recording's range. "
+        "Bold: reported."
+    )
+    return Table(header, rows, note, bold, (0, 1, 2))
 
 
-def _closed(row: Gap | Ranked) -> str:
+def _closed(row) -> str:
     """Return the closed fraction of the gap, or of one candidate, with its interval, as text."""
     text, ci = percent(row.closed_fraction), row.ci95
     return text if ci is None else f"{text} ({interval(*ci)})"
 
 
-def _records(d: Diagnosis) -> list[str]:
+def _records(d: Diagnosis) -> Table:
     scale, unit = output_unit(d)
-    header = (
-        "recording",
-        "used",
-        "samples",
-        "length (s)",
-        f"range ({unit})",
-        "model, error %",
-        "after, error %",
-        "of the gap",
-    )
-    columns = 6 if d.verdict == "no_gap" else 8  # nothing follows, and fractions of noise have no meaning
-    rows = []
-    for t in d.traces:
+    rows, of_gap = [], d.where["records"]
+    for t in sorted(d.traces, key=lambda t: -of_gap.get(t.name, 0.0)):
         before, after = errors(t)
-        span = float(np.nanmax(t.measured) - np.nanmin(t.measured)) if np.isfinite(t.measured).any() else float("nan")
-        rows.append(
-            ("", (
-                t.name, "held out" if t.heldout else "fitted", str(len(t.time)), figure(float(t.time[-1] - t.time[0])),
-                figure(scale * span), figure(before), figure(after), percent(d.where["records"].get(t.name)),
-            )[:columns])
-        )  # fmt: skip
-    notes = [tag("p", f"Note: {line}{'' if line[-1:] in '.?' else '.'}", "soft") for line in d.notes]
-    return [html.table(header[:columns], rows, {1: "left"}), *_pieces(d), *notes]
+        span = float(np.ptp(t.measured[seen])) if (seen := np.isfinite(t.measured)).any() else None
+        used, seconds = "held out" if t.heldout else "fitted", float(t.time[-1] - t.time[0])
+        numbers = (seconds, None if span is None else scale * span, before, after)
+        rows.append((t.name, used, str(len(t.time)), *numbers, percent(of_gap.get(t.name))))
+    header = (
+        "recording", "used", "samples", "length (s)", f"range ({unit})", "model, error %", "after, error %",
+        "of the gap",
+    )  # fmt: skip
+    if d.verdict == "no_gap":  # nothing follows, and fractions of noise have no meaning
+        return Table(header[:6], [row[:6] for row in rows], "", text=(0, 1))
+    return Table(header, rows, "The largest part of the gap first.", text=(0, 1))
 
 
-def _pieces(d: Diagnosis) -> list[str]:
-    """Return an HTML table of the pieces that the search used; empty if it used all samples."""
-    if d.pieces is None:
-        return []
-    rows = [("", (p.record, f"{p.from_s:.6g}", f"{p.to_s:.6g}")) for p in d.pieces]
-    return [
-        tag("p", "The search worked on these pieces:", "soft"),
-        html.table(("recording", "from (s)", "to (s)"), rows, {}),
-    ]
-
-
-def _reading(d: Diagnosis) -> list[str]:
+def _reading() -> Section:
     method = (
         "Sets of up to four effects of the catalogue were added to the model and fitted to free runs. A set is judged "
         "by its error on held-out recordings; each recording counts by the logarithm of its mean square error. P is "
@@ -183,4 +213,4 @@ def _reading(d: Diagnosis) -> list[str]:
         f"{rules.TWICE:g} times the error. Otherwise the verdict is “unknown”, and the ranking names no cause. P "
         "compares effects of the catalogue; it is not the probability that the effect is the true cause."
     )
-    return [tag("h2", "How to read this"), tag("p", method), tag("p", verdicts)]
+    return Section("How to read this", [method, verdicts])

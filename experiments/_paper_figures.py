@@ -5,28 +5,26 @@ Every function returns the axes it drew on and makes its own `Figure` if none we
 """
 
 import numpy as np
+import scipy
 from matplotlib.axes import Axes
 
-from .lines import (
+from pitp_jax.application.pages.drawing import (
     BINS,
     CYCLE,
     DRIVE,
     ERROR,
     MEASURED,
     PREDICTED,
-    envelope,
-    error_shown,
     finish,
     line,
-    output_label,
     over,
     own_axes,
-    same_length,
-    shown,
     thin,
     volts,
 )
 
+_UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
+_ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
 _TIME = "time (s)"
 
 
@@ -108,7 +106,7 @@ def hysteresis_loops(voltage, measured, predicted, ax: Axes | None = None, *, la
     axes[0].plot(voltage[kept], measured[kept], color=color, alpha=0.6, lw=1.8, label=label or "measured")
     kept, once = thin(predicted), "_again" if drawn else "predicted"  # one entry explains all dashed lines
     axes[0].plot(voltage[kept], predicted[kept], color=color, lw=1.0, ls="--", label=once)
-    finish(axes, symbol, [output_label(unit)], legend_columns=3)
+    finish(axes, symbol, [output_label(unit)])
     return axes[0]
 
 
@@ -160,3 +158,69 @@ def tracking(time, target, achieved, voltage, axes=None, *, unit: str = "m") -> 
     line(axes[2], time, voltage, color=DRIVE, lw=1.0)
     finish(axes, _TIME, [output_label(unit), error_label, symbol])
     return axes
+
+
+def extremes(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of the smallest and largest sample in each of `bins` equal parts of a signal.
+
+    Args:
+        values: signal, shape (T,); nan where missing, which is ignored.
+        bins: number of stretches, fewer where T is smaller.
+
+    Returns:
+        Indices of the smallest and of the largest samples, shape (bins,) each.
+    """
+    edges = _edges(values, bins)
+    return _least_and_most(values, edges[:-1], edges[1:])
+
+
+def envelope(values: np.ndarray, bins: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the indices of the smallest and largest sample in parts of whole oscillations, to draw an envelope.
+
+    A stretch runs from the trough before its bin to the trough behind it. A trough half as deep as one of its
+    neighbours is a ripple within an oscillation.
+    """
+    edges = _edges(values, bins)
+    troughs, peaks = scipy.signal.find_peaks(-values, prominence=0)
+    depth = peaks["prominences"]
+    troughs = troughs[depth >= 0.5 * scipy.ndimage.maximum_filter1d(depth, 5)] if len(troughs) else troughs
+    troughs = np.concatenate([[0], troughs, [len(values)]])
+    first = troughs[np.searchsorted(troughs, edges[:-1], side="right") - 1]
+    return _least_and_most(values, first, troughs[np.searchsorted(troughs, edges[1:])])
+
+
+def _edges(values: np.ndarray, bins: int) -> np.ndarray:
+    return np.linspace(0, len(values), min(bins, len(values)) + 1).astype(int)
+
+
+def _least_and_most(values: np.ndarray, first: np.ndarray, last: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    least, most = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
+    pairs = list(zip(first, last, strict=True))
+    low = np.array([a + np.argmin(least[a:b]) for a, b in pairs])
+    return low, np.array([a + np.argmax(most[a:b]) for a, b in pairs])
+
+
+def shown(unit: str, *signals) -> list[np.ndarray]:
+    """Convert signals to the unit shown; refuse an unknown unit and unequal lengths."""
+    if unit not in _UNITS:
+        raise ValueError(f"unknown output unit {unit!r}; use one of {', '.join(_UNITS)}")
+    arrays = [np.asarray(s, dtype=np.float64) * _UNITS[unit][0] for s in signals]
+    same_length(*arrays)
+    return arrays
+
+
+def output_label(unit: str) -> str:
+    """Return the axis label of the output for its unit."""
+    return _UNITS[unit][1]
+
+
+def error_shown(unit: str, error: np.ndarray) -> tuple[np.ndarray, str]:
+    """Return an error (mm or V) in µm or mV if it stays below 0.05, otherwise unchanged, and the axis label."""
+    small = np.nanmax(np.abs(error), initial=0.0) < 0.05
+    return error * (1e3 if small else 1.0), _ERRORS[unit][int(small)]
+
+
+def same_length(*arrays: np.ndarray) -> None:
+    """Refuse signals that do not all have shape (T,) and the same length."""
+    if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
+        raise ValueError(f"signals must have shape (T,) and one length, not {[a.shape for a in arrays]}")
