@@ -4,6 +4,7 @@ value in base unit = factor(unit) * value in the column,    base units: SI (s, V
 """
 
 import math
+import re
 import unicodedata
 
 _KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
@@ -22,10 +23,36 @@ _KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
     "absolute temperature": {"K": 1.0},
     "number": {"counts": 1.0, "percent": 1e-2},
 }
-_FACTORS = {unit: factor for units in _KINDS.values() for unit, factor in units.items()}
+# Symbols of units that are not listed above; a unit of them is kept as it is written, and is its own base.
+_PREFIXED = "VA|Hz|Wb|Ohm|Pa|bar|rad|eV|mol|lm|lx|cd|[WJTFHSΩgtlLNmsAVK]"
+_ATOM = rf"(?:[fpnumcdhkMGT]?(?:{_PREFIXED})|min|h|d|deg|rev|dB|var|ppm|sccm|slpm|kgf|lbf|Oe|%|1)(?:\^?-?\d)?"
+_WRITTEN = re.compile(rf"{_ATOM}(?:[/*·.]{_ATOM}){{0,3}}")
+_LISTED = re.compile(r"[a-zA-Z]?(?:[VANKms]|Pa|bar|rad|deg|rev|min|h|d|1)\d?")  # alone: MV may be meant as mV
+
+
+def written(text: str) -> str | None:
+    """Return a unit made of symbols of SI, such as W or L/min, as it is written; None for any other text."""
+    bare = plain(text).strip("()[]{}<> ")
+    return bare if _WRITTEN.fullmatch(bare) and not _LISTED.fullmatch(bare) else None
+
+
+class _Factors(dict[str, float]):
+    """Factors to the base unit, by unit; a unit that is not listed but made of symbols of SI is its own base."""
+
+    def __contains__(self, unit: object) -> bool:
+        return super().__contains__(unit) or (isinstance(unit, str) and written(unit) == unit)
+
+    def __missing__(self, unit: str) -> float:
+        if unit in self:
+            return 1.0
+        raise KeyError(unit)
+
+
 _KIND = {unit: kind for kind, units in _KINDS.items() for unit in units}
 TIME_UNITS = _KINDS["time"]
-INPUT_UNITS = OUTPUT_UNITS = {unit: factor for unit, factor in _FACTORS.items() if unit not in TIME_UNITS}
+INPUT_UNITS = OUTPUT_UNITS = _Factors(
+    {unit: factor for kind, units in _KINDS.items() if kind != "time" for unit, factor in units.items()}
+)
 
 _WORDS = {
     "s": "s sec secs second seconds sekunde sekunden seconde secondes segundos secondi с сек 秒",
@@ -78,17 +105,17 @@ def spelt(text: str) -> str | None:
     if bare in ("Nm", "mNm"):  # nm is a length
         return bare[:-1] + " m"
     # the exact symbol first, because mV is not MV, and Pa not PA
-    return bare if bare in _FACTORS else _SPELLINGS.get(bare.lower())
+    return bare if bare in _KIND else _SPELLINGS.get(bare.lower())
 
 
 def kind_of(unit: str | None) -> str | None:
-    """Return the kind of a unit: `time`, `voltage`, `length`, `angle`, ...; None without a unit."""
-    return _KIND[unit] if unit is not None else None
+    """Return the kind of a unit: `time`, `voltage`, ...; an unlisted unit is its own kind, no unit has none."""
+    return _KIND.get(unit, unit) if unit is not None else None
 
 
 def units_of_kind(unit: str) -> tuple[str, ...]:
     """Return the units of the same kind as `unit`, with `unit` first."""
-    return (unit, *(other for other in _KINDS[_KIND[unit]] if other != unit))
+    return (unit, *(other for other in _KINDS.get(_KIND.get(unit, ""), {}) if other != unit))
 
 
 def column_name(quantity: str, unit: str) -> str:
@@ -99,8 +126,8 @@ def column_name(quantity: str, unit: str) -> str:
         unit: of its values.
     """
     usual, other = {"voltage": ("voltage", "input"), "displacement": ("length", "output")}[quantity]
-    volts = quantity == "displacement" and _KIND[unit] == "voltage"  # an electronic output keeps its old name
-    return f"{quantity if _KIND[unit] == usual or volts else other}_{unit.replace(' ', '')}"
+    volts = quantity == "displacement" and kind_of(unit) == "voltage"  # an electronic output keeps its old name
+    return f"{quantity if kind_of(unit) == usual or volts else other}_{unit.replace(' ', '')}"
 
 
 def column_names(quantity: str) -> tuple[str, ...]:
@@ -131,7 +158,7 @@ def to_base(values, unit: str):
         values: array in `unit`, any shape.
         unit: one of the table.
     """
-    scale = _FACTORS[unit]
+    scale = _factor(unit)
     return values / round(1.0 / scale) if _parts(scale) else values * scale
 
 
@@ -142,8 +169,12 @@ def from_base(values, unit: str):
         values: array in the base unit, any shape.
         unit: one of the table.
     """
-    scale = _FACTORS[unit]
+    scale = _factor(unit)
     return values * round(1.0 / scale) if _parts(scale) else values / scale
+
+
+def _factor(unit: str) -> float:
+    return TIME_UNITS[unit] if unit in TIME_UNITS else INPUT_UNITS[unit]
 
 
 def _parts(scale: float) -> bool:
@@ -153,4 +184,4 @@ def _parts(scale: float) -> bool:
 
 def base_unit(unit: str) -> str:
     """Return the base unit for a unit: `m` for lengths, `V` for voltages, `rad` for angles."""
-    return next(iter(_KINDS[_KIND[unit]]))
+    return next(iter(_KINDS.get(_KIND.get(unit, ""), {unit: 1.0})))

@@ -78,7 +78,7 @@ def facts(record: Record) -> Facts:
         problems.append(f"{Remark('outliers', record.name, outliers)}: check the sensor")
     if clipped:
         problems.append(f"{Remark('clipped', record.name, clipped)}: move the sensor or widen its range")
-    problems += questions(record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
+    problems += questions(record.voltage, record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
     excitation = kind(record) if changes else "none"
     return Facts(excitation, band, noise, outliers, clipped, lost, jitter, repaired, tuple(problems))
 

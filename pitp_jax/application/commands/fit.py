@@ -55,11 +55,11 @@ def fit(
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     start = _given(nominal, order, input_map) if nominal else None
-    read_in = read_records(records, reading, square=is_square(start) if start else input_map != "linear")
+    read_in = read_records(records, reading, square=is_square(start) if start else input_map)
     warn(read_in)
 
     def identified(some, **how):
-        return _identified(some, input_map=input_map or "square", **how)
+        return _identified(some, input_map=input_map, **how)
 
     given, first = start, None
     if start is None:

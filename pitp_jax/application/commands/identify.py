@@ -24,7 +24,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         records: files and folders.
         out: model file to write.
         order: 1 to 6 or "auto".
-        input_map: "square" or "linear".
+        input_map: "square", "linear", or None: by the units of the recordings.
         learn, leave_out: ("delay",) to fit a pure delay in any case, or never.
         validate: files and folders of records used only for validation.
         report: folder for the Bode page, or None.
@@ -38,9 +38,9 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         BadInput, ComputationFailed: with nothing written.
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, *validate])
-    read_in = read_records(records, reading, square=input_map == "square")
+    read_in = read_records(records, reading, square=input_map)
     warn(read_in)
-    apart = read_records(validate, reading, square=input_map == "square") if validate else []
+    apart = read_records(validate, reading, square=input_map) if validate else []
     identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     summary = describe(identified.model)
     scores = (

@@ -34,6 +34,7 @@ _READING = "reading:"  # before names of reading options: invert has its own --r
 _UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
 # Commands that keep every compiled program; the others, which have hundreds, keep only slow compilations.
 _QUICK = ("predict", "invert", "check", "simulate", "adapt")
+_INPUT_MAP = "F = u^2 or u (default: square for a voltage with a length, otherwise linear)"
 _OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
 # advice for an option given twice
 _SINGLE = {
@@ -219,6 +220,13 @@ def _number(text: str) -> float:
     return value
 
 
+def _any_number(text: str) -> float:
+    value = _finite(text)
+    if value is None:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a finite number")
+    return value
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = _Parser(
         prog="pitp", description="Model, invert and diagnose dielectric elastomer actuators.", allow_abbrev=False,
@@ -291,6 +299,8 @@ _SAID = (  # option, placeholder, type, help
     ("output-unit", "UNIT", str, f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"),
     ("input-scale", "S", _number, "factor from the input column to V (a monitor of 1 V per kV: 1000)"),
     ("output-scale", "S", _number, "factor from the output column to m (a laser of 2 mm per V: 0.002)"),
+    ("input-offset", "U", _any_number, "subtracted from the input column, in the numbers of the file (2048)"),
+    ("output-offset", "Y", _any_number, "subtracted from the output column, in the numbers of the file (2048)"),
     ("rate", "HZ", _positive, "samples per second: for files without a time column; overrides any other clock"),
     ("header-line", "N", int, "line with the column names, counted from 1"),
     ("units-line", "N|none", str, "line with the units, counted from 1"),
@@ -410,7 +420,7 @@ def _identify_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("records", nargs="+", metavar="RECORDS", help=_RECORDS)
     parser.add_argument("--out", required=True, metavar="NOMINAL", help="model file to write")
     parser.add_argument("--order", type=_order, default="auto", metavar="N|auto", help="1 to 6, or auto (default)")
-    parser.add_argument("--input-map", choices=("square", "linear"), default="square", help="F = u^2 (default) or u")
+    parser.add_argument("--input-map", choices=("square", "linear"), help=_INPUT_MAP)
     delay = parser.add_mutually_exclusive_group()
     delay.add_argument(
         "--learn",
@@ -445,7 +455,7 @@ def _fit_arguments(parser: argparse.ArgumentParser) -> None:
         "--learn", action="append", default=[], choices=("delay", "sensor_lag"), metavar="PART",
         help="also learn a delay or a sensor_lag between amplifier and recording (may be given twice)",
     )  # fmt: skip
-    parser.add_argument("--input-map", choices=("square", "linear"), help="F = u^2 (default) or u")
+    parser.add_argument("--input-map", choices=("square", "linear"), help=_INPUT_MAP)
     parser.add_argument("--seed", type=_seed, default=0, metavar="N", help="seed of the random start (default 0)")
     parser.add_argument("--report", metavar="DIR", help="folder for a page of free runs beside the recordings")
     parser.add_argument(

@@ -7,19 +7,19 @@ from ...files.recordings.plausible import monitor_warning
 from ...files.recordings.reading import read
 from ...files.recordings.remarks import Remark, by_kind
 from ...method.model.fitted import Fitted
-from ...method.model.input_map import SquareInput
+from ...method.model.input_map import SquareInput, usual_input_map
 from ...method.signal.record import Record
 from .compatibility import check_belongs
 from .console import say
 
 
-def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[Record, ...]:
+def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | None) -> tuple[Record, ...]:
     """Read recordings, and print what was recognised, what was masked, and what looks wrong.
 
     Args:
         paths: files and folders.
         reading: keyword arguments of `pitp.read`.
-        square: whether the force is known to be the square of the voltage.
+        square: whether the force is known to be the square of the voltage; or the name of an input map; None: by units.
 
     Raises:
         BadInput: as `pitp.read`.
@@ -27,7 +27,9 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool) -> tuple[
     records = read(*paths, **reading)
     for line in recognised(records):
         say(line)
-    warning = monitor_warning(records) if square else None
+    if square is None:
+        square = usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    warning = monitor_warning(records) if square in (True, SquareInput.name) else None
     if warning:
         say(f"warning: {warning}")
     return records

@@ -7,12 +7,12 @@ unit competes with one that has a unit and no name. If two statements of a unit 
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...common.errors import BadInput, by_option
-from ...common.units import column_names, kind_of, spelt, to_base, units_of
+from ...common.units import column_names, kind_of, spelt, to_base, units_of, written
 from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
 from .refusal import Refused
@@ -55,6 +55,10 @@ class Choice:
     def __str__(self):
         return f"{self.name!r} in {self.unit}{f' ({self.note})' if self.note else ''}"
 
+    def noted(self, note: str) -> "Choice":
+        """Return the choice with a further remark for the summary."""
+        return replace(self, note=f"{self.note}; {note}" if self.note else note)
+
     @property
     def reading(self) -> tuple:
         """Return the column index and the unit: two readings of a file agree if both are equal."""
@@ -79,6 +83,11 @@ class _Seen:
     @property
     def role(self) -> str | None:
         return self.header.role
+
+    @property
+    def written(self) -> str | None:
+        """Return a unit that is not in the table, as it is written: W, L/min."""
+        return written(self.unknown) if self.unknown else None
 
     @property
     def counts_rows(self) -> bool:
@@ -372,6 +381,8 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
             f"column {name!r} has two units, {first} in its name and {second} in its unit; give --{stem}-unit",
             [f"--{stem}-unit", first],
         )
+    if seen.written and quantity != "time":
+        return Choice(seen.place, name, seen.written, note)
     if seen.unknown:
         raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_few(quantity)}")
     if fits:
@@ -419,10 +430,20 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     if "time" in problems:
         words += problems["time"].options or _time_words(table, seen, pools["time"], free, taken)
     ports = [q for q in ("voltage", "displacement") if q in quantities]
+    drive = next((s for s in seen if "voltage" in chosen and s.place == chosen["voltage"].place), None)
+    if drive is not None and drive.role is None and not pools.get("displacement", [drive]):
+        # chosen as the input by its unit alone: it may as well be the output, so the order of the file decides
+        chosen, pools = {q: c for q, c in chosen.items() if q != "voltage"}, pools | {"voltage": []}
+        problems = problems | {"voltage": _Ask("")}
+        taken.discard(drive.place)
+        free = [s for s in seen if s in free or s is drive]
     asked = any(q in problems and len(pools[q]) != 1 for q in ports)
+    # of two recordings in one file (`t u y`, `t_ u_ y_`) the columns of one length belong together
+    clock = [c.place for q, c in chosen.items() if q == "time" and c.place is not None] or [*taken - _places(chosen)]
+    rows = len(_values(table, clock[0])) if clock else 0
     monitors = False  # an amplifier has two: if the input is one, the output is one too
     for quantity in ports:
-        port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken)
+        port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken, rows)
         if port is None:
             return []
         taken.add(port.place)
@@ -436,7 +457,11 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     return [w for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for w in group]
 
 
-def _port(table: Table, seen, pool, free, choice: Choice | None, quantity: str, taken: set) -> _Seen | None:
+def _places(chosen: dict[str, Choice]) -> set:
+    return {choice.place for choice in chosen.values()}
+
+
+def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, rows: int) -> _Seen | None:
     """Return the chosen column of a quantity, otherwise the first free one by its role: a command before a current."""
     if choice is not None:
         return next(s for s in seen if s.place == choice.place)
@@ -446,10 +471,11 @@ def _port(table: Table, seen, pool, free, choice: Choice | None, quantity: str, 
         values = _values(table, s.place)
         commanded = role == "input" and s.header.commanded
         moves = values.size > 0 and bool(np.ptp(values) > 0)
-        return not values.size, s.role == wrong, not moves, not commanded, s.role != role
+        return not values.size, 0 < rows != values.size, s.role == wrong, not moves, not commanded, s.role != role
 
-    free = [s for s in pool or free if s.place not in taken and s.kind != "time" and not s.header.words & _COUNTERS]
-    free = [s for s in free if pool or s.role != "time"]
+    if not pool:
+        pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & _COUNTERS]
+    free = [s for s in pool if s.place not in taken]
     first = min(free, key=unlikely, default=None)
     return first if first is not None and _values(table, first.place).size else None
 
@@ -458,7 +484,7 @@ def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, m
     """Return options that state the unit and scale of a column, in capitals where no file holds them."""
     if options.scale(quantity) is not None:
         return []
-    stem, bare = OPTIONS[quantity], port.kind is None and not port.conflict
+    stem, bare = OPTIONS[quantity], port.kind is None and not port.conflict and not port.written
     volts = port.kind == "voltage" or (bare and not port.unknown and monitors)
     words = []
     if bare and options.unit(quantity) is None:

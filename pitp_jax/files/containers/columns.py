@@ -13,11 +13,12 @@ from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, to_base
 from .choice import Choice, choose_columns, clock_question, listed
 from .formats import Parts
-from .held import hold_sparse
+from .held import hold_sparse, mean_of_held
 from .join import joined_parts
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
+from .structure import keys_in_turn, refreshed, sign_bit, signed
 from .table import Column, Table
 
 _MOST_PARTS = 1000
@@ -50,8 +51,9 @@ class Loaded:
 
     def words(self, quantity: str) -> str:
         """Describe how a quantity was read: `'U [V]' in V times 1000`."""
-        scale = self.options.scale(quantity)
-        return str(self.chosen[quantity]) + ("" if scale is None else f" times {scale:g}")
+        scale, offset = self.options.scale(quantity), self.options.offset(quantity)
+        less = f" less {offset:g}" if offset else ""
+        return str(self.chosen[quantity]) + less + ("" if scale is None else f" times {scale:g}")
 
     def unit(self, quantity: str) -> str:
         """Return the unit in which a quantity is shown: the column's, or mm or V if a scale converts volts of a DAQ."""
@@ -81,8 +83,27 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
         return [replace(_load(*one, said), label=one[0].part) for one in chosen]
     table, choices = _first(parts, said, quantities)
     if said.split_by is None:
-        return [_load(table, choices, said)]
+        return [_one_signal(_load(table, choices, said))]
     return _by_column(table, choices, said, said.split_by)
+
+
+def _one_signal(one: Loaded) -> Loaded:
+    """Return the columns of a file whose rows are one recording.
+
+    Raises:
+        Refused: a row for each of several joints.
+    """
+    signals = [one.values[q] for q in ("voltage", "displacement") if q in one.values]
+    found = None
+    if one.rows is None and "time" in one.values:
+        places = [choice.place for choice in one.chosen.values() if choice.place is not None]
+        found = keys_in_turn(one.table, places, one.values["time"], signals)
+    if found is None:
+        return one
+    name, keys = found
+    some = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
+    why = f"column {name!r} has {len(keys)} values ({some}) that take turns, so each row is of one of them; split by it"
+    raise Refused(one.table.source, why, ["--split-by", name])
 
 
 def _ours(table: Table) -> bool:
@@ -142,7 +163,11 @@ def _legible(columns: Sequence[Column]) -> int:
 def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Loaded:
     """Load the chosen columns in base units and apply the scales; --rate gives the time if no column does."""
     values, chosen = _values(table, chosen, options)
-    count = len(next(iter(values.values()))) if values else 0
+    values, chosen = _registers(values, chosen)
+    count = max(
+        (len(v) for q, c in chosen.items() for v in [values.get(c.place)] if q != "time" and v is not None), default=0
+    )
+    count = count or len(next(iter(values.values()), ()))
     loaded = {}
     with np.errstate(over="ignore"):  # infinite values are refused later
         for quantity, choice in chosen.items():
@@ -150,7 +175,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
                 loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
             elif choice.place is not None:
                 # unit first, scale second: 2 V of a monitor of 1000 V per V
-                base = to_base(values[choice.place], choice.unit)
+                base = to_base(values[choice.place] - options.offset(quantity), choice.unit)
                 scale = options.scale(quantity)
                 loaded[quantity] = base if scale is None else base * scale
     if "time" in chosen:
@@ -160,12 +185,43 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
         loaded, rows, fraction = hold_sparse(loaded)
         if rows is not None:
             note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
-            voltage = chosen["voltage"]
-            note = f"{voltage.note}; {note}" if voltage.note else note
-            chosen = chosen | {"voltage": replace(voltage, note=note)}
+            chosen = chosen | {"voltage": chosen["voltage"].noted(note)}
+        elif "displacement" in loaded:
+            loaded, rows, chosen = _as_refreshed(loaded, chosen)
     if "time" in chosen and chosen["time"].place is not None:
         loaded, rows = _without_empty_rows(loaded, rows)
     return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows)
+
+
+def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tuple[dict, dict[str, Choice]]:
+    """Read input and output as sign and magnitude where a bit of their registers is the sign."""
+    ports = [(q, c.place) for q, c in chosen.items() if q != "time" and c.place is not None]
+    bits = {q: sign_bit(values[place]) for q, place in ports}
+    shared = next((bit for bit in bits.values() if bit is not None), None)
+    for q, place in ports:
+        bit = bits[q] if bits[q] is not None else sign_bit(values[place], shared)
+        if bit is not None:
+            values = values | {place: signed(values[place], bit)}
+            chosen = chosen | {q: chosen[q].noted(f"sign and magnitude: bit {bit} is the sign")}
+    return values, chosen
+
+
+def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.ndarray | None, dict[str, Choice]]:
+    """Return the recording at the rate of its output's refreshes, if the log is faster than the bus behind it."""
+    time, voltage, output = (loaded[q] for q in ("time", "voltage", "displacement"))
+    if not len(time) == len(voltage) == len(output) or not (np.diff(time) > 0).all() or not np.isfinite(voltage).all():
+        return loaded, None, chosen
+    found = refreshed(output)
+    if found is None:
+        return loaded, None, chosen
+    at, period = found
+    rows = np.ceil(at - 1e-6).astype(int)
+    clock = np.interp(at, np.arange(len(time)), time)
+    held = {"time": clock, "displacement": output[rows]}
+    held["voltage"] = mean_of_held(time, voltage, np.append(clock, 2 * clock[-1] - clock[-2]))
+    rate = (len(clock) - 1) / (clock[-1] - clock[0])
+    note = f"each value stands {period:.3g} rows: read at its own rate of {rate:.4g} Hz"
+    return held, rows, chosen | {"displacement": chosen["displacement"].noted(note)}
 
 
 def _values(
@@ -205,7 +261,9 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         return choice
     seen = time[np.isfinite(time)]
     unfit, remedy = "", ["--rate", "RATE"]
-    if not len(seen) or (len(seen) < 2 and rate is not None):
+    if len(time) != count and choice.place is not None:
+        unfit = f"the clock {name!r} has {len(time)} values for {count} samples; give --rate HZ"
+    elif not len(seen) or (len(seen) < 2 and rate is not None):
         unfit = f"the clock {name!r} is empty; give --rate HZ"
     elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
         unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]

@@ -188,16 +188,28 @@ def mat(path: Path, options: ReadOptions) -> Parts:
     groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
     groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
     if objects and not groups and not _vectors(plain):
-        raise BadInput(
-            f"{source}: holds a MATLAB object (string, table, timetable, datetime), which only MATLAB can read; save "
-            "vectors, or S = table2struct(T, 'ToScalar', true)"
-        )
+        raise BadInput(f"{source}: {_objects(objects)}")
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
     # one struct is the recording; with several, the struct's name is part of the column's
     if len(groups) == 1:
         return [[_variables(path, plain | next(iter(groups.values())), ", fields of a struct")]]
     return [[_variables(path, plain | {f"{n}/{f}": v for n, fields in groups.items() for f, v in fields.items()}, "")]]
+
+
+def _objects(names: Sequence[str], kind: str = "") -> str:
+    """Return what a MATLAB file of objects holds, and what to save instead."""
+    named = ", ".join(map(cleaned, names[:3]))
+    if "Simulink" in kind or "timeseries" in kind.lower():
+        return (
+            f"holds a Simulink data set ({named}), which only MATLAB can read; log as 'Structure with time', or save "
+            f"vectors: d = {names[0]}; t = d{{1}}.Values.Time; u = d{{1}}.Values.Data; y = d{{2}}.Values.Data; "
+            "save('run.mat', 't', 'u', 'y')"
+        )
+    return (
+        f"holds a MATLAB object ({named}: string, table, timetable, datetime or a class), which only MATLAB can read; "
+        "save vectors (of a table T: S = table2struct(T, 'ToScalar', true))"
+    )
 
 
 def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndarray]]:
@@ -247,6 +259,12 @@ def hdf5(path: Path, options: ReadOptions, kind: str = "HDF5 file") -> Parts:
     with h5py.File(path, "r") as file:
         groups = _datasets(file, source)
         known = {where: _about(file[where]) for places in groups.values() for where in places}
+        kinds = {where: _class_of(file[where]) for where in known}
+    objects = [where for where, kind in kinds.items() if "." in kind or kind in ("timeseries", "timetable", "table")]
+    signals = [w for w, k in kinds.items() if w not in objects and np.prod(known[w][1], dtype=float) > 1]
+    if objects and len(signals) < 2:
+        objects.sort(key=lambda where: "Dataset" not in kinds[where])
+        raise BadInput(f"{source}: {_objects(objects, kinds[objects[0]])}")
     split = options.split_by == "group" and len(groups) > 1
     parts = [{n: p} for n, p in groups.items()] if split else [groups]
     made = []
@@ -300,6 +318,12 @@ def _kind(group: Any, name: str, source: str):
     return kind
 
 
+def _class_of(dataset: Any) -> str:
+    """Return MATLAB's class of a dataset; empty outside MATLAB files."""
+    kind = dataset.attrs.get("MATLAB_class", b"")
+    return kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
+
+
 def _about(dataset: Any) -> tuple[Any, tuple[int, ...], tuple[str, ...]]:
     """Return the unit, shape and field names of a dataset."""
     unit = next((dataset.attrs[n] for n in ("unit", "units", "Unit", "Units") if n in dataset.attrs), None)
@@ -310,8 +334,7 @@ def _dataset(path: Path, where: str, source: str) -> np.ndarray:
     """Load a dataset; MATLAB v7.3's text and cells become an empty array, because they hold no numbers."""
     with h5py.File(path, "r") as file:
         dataset: Any = file[where]
-        kind = dataset.attrs.get("MATLAB_class", b"")
-        kind = kind.decode("latin-1") if isinstance(kind, bytes) else str(kind)
+        kind = _class_of(dataset)
         if kind == "char":
             return np.empty(0, dtype="S1")
         if kind in ("cell", "string", "table") or dataset.dtype.kind == "O":
@@ -346,6 +369,22 @@ def split_suffix(name: str) -> tuple[str, str]:
     return name, ""
 
 
+_UNREAD = {  # suffix: what it is, and what to save instead
+    (".pt", ".pth", ".ckpt"): "a file of torch.save, which may run code when it is opened; save its arrays with "
+    "numpy.savez (.npz) or as CSV",
+    (".pkl", ".pickle", ".joblib", ".npy"): "a file of Python or of one array; save named arrays with numpy.savez "
+    "(.npz) or as CSV",
+    (".xls", ".ods", ".numbers"): "a spreadsheet of another kind; save it as .xlsx or CSV",
+    (".mf4", ".mdf", ".dxd", ".bag", ".db3", ".slx", ".m"): "not read; export its signals as CSV, MAT or MCAP",
+}
+
+
+def unread(name: str) -> str:
+    """Return what a file is that is not read, by its suffix, and what to save instead."""
+    said = next((text for ends, text in _UNREAD.items() if name.lower().endswith(ends)), None)
+    return said or "not a recording file; convert or rename it"
+
+
 def open_parts(path: Path, options: ReadOptions) -> Parts:
     """Open every part of a file as the tables that it may be; errors of file libraries become BadInput.
 
@@ -354,9 +393,7 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     """
     source, suffix = cleaned(path), ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
     if not suffix:
-        raise BadInput(
-            f"{source}: not a recording file (known suffixes: {', '.join(sorted(SUFFIXES))}); convert or rename it"
-        )
+        raise BadInput(f"{source}: {unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
     if suffix not in _STORED:
         return [text_tables(path, options)]
     for file in path.iterdir() if path.is_dir() else [path]:

@@ -9,10 +9,10 @@ import re
 import unicodedata
 from dataclasses import dataclass
 
-from ...common.units import kind_of, plain, spelt
+from ...common.units import kind_of, plain, spelt, written
 
 _VOCABULARY = {
-    "time": "t time zeit timestamp stamp reltime abstime date datetime datum uhrzeit temps tiempo tempo "
+    "time": "t time zeit timestamp stamp unix epoch reltime abstime date datetime datum uhrzeit temps tiempo tempo "
     "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input inputs in vin amplifier amp "
     "excitation eingang anregung actuation monitor command cmd setpoint desired des target reference ref goal soll "
@@ -32,9 +32,11 @@ _BRACKETS = re.compile(r"[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]")
 _LAST = re.compile(r"^(.*\S)(?:\s*[_,:;-]\s*|\s+)(\S+)$")
 _ROLE_OF = {"s": "time", "h": "time", "d": "time", "min": "time", "m": "output", "A": None, "N": None, "K": None}
 _OWN = {
-    "A": {"current", "strom", "i", "input", "output"}, "N": {"force", "kraft", "f", "input", "output"},
+    "A": {"current", "strom", "i", "coil", "motor", "winding", "input", "output"},
+    "N": {"force", "kraft", "f", "input", "output"},
     "K": {"temperature", "temp", "t"},
 }  # fmt: skip
+_OWN_FILES = re.compile(r"(input|output|target|predicted)_(\S+)")  # of files that pitp writes
 _R_BRACKETS = re.compile(r"\.\.([^.\s]+)\.$")  # R makes `Weg..mm.` of `Weg (mm)`
 _PHYSICAL = re.compile(r"[pnumckMG](m|s|V|A|N|Pa|g|Hz|W|J|C|F)|[smVAN]|Hz|Pa")  # units, never names of a quantity
 
@@ -90,6 +92,9 @@ def read_header(text: str) -> Header:
 
 
 def _parted(text: str) -> tuple[str, str | None, str | None]:
+    own = _OWN_FILES.fullmatch(text)
+    if own and not spelt(own[2]) and written(own[2]):
+        return own[1], own[2], None
     unknown, text = None, _R_BRACKETS.sub(r" (\1)", text)
     for bracket in _BRACKETS.finditer(text):
         inside = bracket[1]

@@ -9,6 +9,7 @@ precedence.
 import json
 import math
 import os
+import re
 import tomllib
 from dataclasses import dataclass, fields, replace
 from fnmatch import fnmatch
@@ -17,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from ...common.errors import BadInput, cleaned
-from ...common.units import spelt, units_of
+from ...common.units import TIME_UNITS, spelt, units_of, written
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
 FOLDER_FILE = "pitp.toml"
@@ -38,6 +39,7 @@ class ReadOptions:
         time_unit, input_unit, output_unit: units of these columns, instead of the file's.
         input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
         output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
+        input_offset, output_offset: subtracted from the columns in the numbers of the file, before the scale (2048).
         rate: samples per second of files without time, or instead of any clock.
         header_line: the line that names the columns, counted from 1 with comments and blanks.
         units_line: the line that holds the units, or "none".
@@ -60,6 +62,8 @@ class ReadOptions:
     output_unit: str | None = None
     input_scale: float | None = None
     output_scale: float | None = None
+    input_offset: float | None = None
+    output_offset: float | None = None
     rate: float | None = None
     header_line: int | None = None
     units_line: str | None = None
@@ -81,8 +85,11 @@ class ReadOptions:
             if unit is None:
                 continue
             known = spelt(unit) if isinstance(unit, str) else None
-            if known not in units_of(quantity):
-                problems.append(f"--{stem}-unit {unit!r} is not one of {', '.join(units_of(quantity))}")
+            if known is None and isinstance(unit, str) and quantity != "time":
+                known = written(unit)
+            if known is None or (known in TIME_UNITS) != (quantity == "time"):
+                other = "" if quantity == "time" else ", another one of SI symbols such as W, or counts for any other"
+                problems.append(f"--{stem}-unit {unit!r} is not one of {', '.join(units_of(quantity))}{other}")
             object.__setattr__(self, f"{stem}_unit", known)
         for name in ("input_scale", "output_scale", "rate"):
             value = getattr(self, name)
@@ -90,6 +97,10 @@ class ReadOptions:
             if not number or (name == "rate" and value is not None and value < 0):
                 kind = "positive number" if name == "rate" else "finite number other than 0"
                 problems.append(f"--{name.replace('_', '-')} {value!r} is not a {kind}")
+        for name in ("input_offset", "output_offset"):
+            value = getattr(self, name)
+            if value is not None and not (isinstance(value, (int, float)) and math.isfinite(value)):
+                problems.append(f"--{name.replace('_', '-')} {value!r} is not a finite number")
         problems += self._range_problems() + self._text_problems()
         if problems:
             raise BadInput("; ".join(problems))
@@ -135,6 +146,10 @@ class ReadOptions:
     def scale(self, quantity: str) -> float | None:
         """Return the scale that the user states for input or output; None for the time."""
         return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
+
+    def offset(self, quantity: str) -> float:
+        """Return the number that the user subtracts from input or output, in the numbers of the file; 0 without one."""
+        return {"voltage": self.input_offset, "displacement": self.output_offset}.get(quantity) or 0.0
 
     def said(self) -> dict[str, Any]:
         """Return the stated options by their command-line names, without those that are None and without `joint`."""
@@ -227,7 +242,7 @@ def joints_of(each: Any) -> dict[str, tuple[str, str]]:
     pairs = [str(joint).partition("=")[::2] for joint in each] if isinstance(each, list) else list(each.items())
     joints = {}
     for name, ports in pairs:
-        columns = tuple(ports.split(",") if isinstance(ports, str) else ports)
+        columns = tuple(re.split(r",(?![^\[]*\])", ports) if isinstance(ports, str) else ports)  # not in `q[1,2]`
         if not name or "/" in name or name.startswith(".") or len(columns) != 2 or not all(map(str, columns)):
             raise BadInput(f"--each {cleaned(name)}: give NAME=INPUT,OUTPUT, the exact headers of one joint")
         if name in joints:

@@ -51,10 +51,11 @@ class Refused(BadInput):
         Args:
             argv: the arguments of the command.
         """
-        # a check is tried without its files: the line stays short
+        # a check is tried without its files: the line stays short; nothing was written that --force must replace
         names = (*self.options[::2], *(("--out", "--json") if argv[0] == "check" else ()))
+        kept = [word for word in _without(argv, names) if word != "--force"]
         # a name with control characters is shown cleaned, so its command must be typed anew
-        words = ["pitp", *map(cleaned, _without(argv, names)), *self.options]
+        words = ["pitp", *map(cleaned, kept), *self.options]
         return self.ending(f"; try: {shlex.join(words)}") if self.options else str(self)
 
     def in_folder(self) -> str:

@@ -109,16 +109,18 @@ def array_table(
 
 
 def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
-    """Return a vector unchanged; split a long matrix into columns `data[1]`, `data[2]`, ..."""
+    """Return a vector; split a long matrix into `data[1]`, ..., and (time, environment, joint) into `data[1,1]`, ..."""
     # long in one dimension: an image or a map is long in both
-    if len(shape) != 2 or not 1 < min(shape) <= _WIDEST < max(shape):
+    axis = int(np.argmax(shape)) if len(shape) else 0
+    others = [size for k, size in enumerate(shape) if k != axis]
+    if not (len(shape) == 2 and 1 < others[0] <= _WIDEST or len(shape) == 3) or not 1 < np.prod(others) < shape[axis]:
         return [(name, values)]
 
-    def line(k: int) -> np.ndarray:
-        matrix = np.asarray(values() if callable(values) else values)
-        return matrix[:, k] if shape[0] > shape[1] else matrix[k]
+    def line(place: tuple[int, ...]) -> np.ndarray:
+        return np.moveaxis(np.asarray(values() if callable(values) else values), axis, 0)[(slice(None), *place)]
 
-    return [(f"{name}[{k + 1}]", lambda k=k: line(k)) for k in range(min(shape))]
+    places = list(np.ndindex(*others))
+    return [(f"{name}[{','.join(str(k + 1) for k in place)}]", lambda p=place: line(p)) for place in places]
 
 
 def _loaded(values: Any, column: str, source: str) -> np.ndarray:

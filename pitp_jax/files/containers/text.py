@@ -36,6 +36,9 @@ _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not com
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
 _NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
+# a cell that is a list of numbers
+_LIST = re.compile(rb'(?<![^\s,;|"])"?\[\s*([-+\d.][-+\d.eE,\s]*?)\s*\]"?(?![^\s,;|])')
+_ITEMS = re.compile(rb"[^\s,]+")
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines searched for names with line breaks in quotes
 _KEY = re.compile(r"(units?|columns?|names?|fields?|header)\s*[:=]\s*", re.IGNORECASE)
@@ -165,12 +168,30 @@ def _text(path: Path, source: str) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
+    if _LIST.search(data[:_HEAD]):
+        data = _unlisted(data)
     if _ARROW.match(data):  # a serial monitor's prefix of every line
         data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
         raise BadInput(f"{source}: line {bad}: control characters in a text file; save it as CSV")
     return data
+
+
+def _unlisted(data: bytes) -> bytes:
+    """Write lists in cells (`"[0.1, 0.2]"`, `[0.1 0.2]`) as cells of their own, named `name[1]`, `name[2]`, ..."""
+    head, _, body = data.partition(b"\n")
+    first = _LIST.sub(lambda found: b"\x1a" * len(_ITEMS.findall(found[1])), body.partition(b"\n")[0])
+    separator = next((mark for mark in (b"\t", b";", b"|", b",") if mark in first), b",")
+    cells = [cell.count(b"\x1a") for cell in first.split(separator)]
+    names = [name.strip(b' "') for name in head.split(separator)]
+    if len(names) == len(cells):
+        wide = [
+            [name] if not n else [b"%s[%d]" % (name, k + 1) for k in range(n)]
+            for name, n in zip(names, cells, strict=True)
+        ]
+        head = separator.join(name for some in wide for name in some)
+    return head + b"\n" + _LIST.sub(lambda found: separator.join(_ITEMS.findall(found[1])), body)
 
 
 def _unbroken(data: bytes) -> bytes:

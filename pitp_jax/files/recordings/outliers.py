@@ -25,6 +25,7 @@ _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; 
 _JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the input, and of its range: a step of the input exceeds both
 _OFTEN = 0.1  # of a record: runs of one value that are more frequent are stiction, so the extreme value is not a limit
 _SWEPT = 0.5  # of the input's range, swept at one output value: no motion is so slow
+_FEWEST_LEVELS = 8  # a motion over fewer of them is the resolution of the sensor, and its extremes are no limits
 _FEWEST_VALUES = 32  # distinct ones; with fewer, a record is not a measured motion (two levels, a counter)
 
 
@@ -64,7 +65,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     y = displacement[seen]
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
-    if len(moving) < _FEWEST_VALUES:
+    if len(moving) < _FEWEST_VALUES or len(np.unique(y)) < _FEWEST_LEVELS:
         return Masked(displacement)
     # only nonzero steps, because a quantised sensor mostly repeats its value
     step = float(np.median(moving))

@@ -2,6 +2,7 @@
 
 100 kV, 1 km and more                        refused: a unit is wrong
 range of x > 1 m, 90 % of x equal            reported
+x = u, x of three values or fewer            reported: a column given twice, a sensor that does not move
 |u| <= 10 V on a squared input               reported: a monitor's voltage, not the actuator's
 """
 
@@ -15,6 +16,8 @@ from ...method.signal.record import Record
 
 _HIGHEST = {"V": 1e5, "m": 1e3}
 _LONG, _EQUAL = 1.0, 0.9  # m; fraction of the samples
+_SAME = 1e-9  # relative difference of equal numbers that were written with different digits
+_FEW = 3  # values of an output that only flickers
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
@@ -46,20 +49,28 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
         raise BadInput(f"{source}: {'; '.join(problems)}")
 
 
-def questions(displacement: np.ndarray, unit: str) -> list[str]:
-    """Return questions to the user about an output that is improbable but possible.
+def questions(voltage: np.ndarray, displacement: np.ndarray, unit: str) -> list[str]:
+    """Return questions to the user about a recording that is improbable but possible.
 
     Args:
-        displacement: in m or V, shape (T,); nan where missing.
-        unit: `m` or `V`.
+        voltage: input in its base unit, shape (T,).
+        displacement: output in its base unit, shape (T,); nan where missing.
+        unit: of the output: only a length has a largest plausible range.
     """
-    seen = displacement[np.isfinite(displacement)]
+    seen = np.isfinite(displacement)
+    x, u = displacement[seen], voltage[seen]
     lines = []
-    if unit == "m" and np.ptp(seen) > _LONG:
-        lines.append(f"moves by {np.ptp(seen):.3g} m; check the unit of the output")
+    if unit == "m" and np.ptp(x) > _LONG:
+        lines.append(f"moves by {np.ptp(x):.3g} m; check the unit of the output")
+    if np.ptp(u) > 0 and np.allclose(x, u, rtol=_SAME, atol=_SAME * float(np.ptp(u))):
+        lines.append("input and output hold the same numbers; give the column of the measured output")
     # the median equals the most common value, if one exists
-    equal = float(np.mean(seen == np.median(seen)))
-    if equal > _EQUAL:
+    equal = float(np.mean(x == np.median(x)))
+    values = np.unique(x)
+    if len(values) <= _FEW and np.ptp(u) > 0 and len(np.unique(u)) > _FEW:
+        beside = f", with a flicker of {np.ptp(values):.3g}" if len(values) > 1 else ""
+        lines.append(f"the output does not move while the input does (it reads {np.median(x):.6g}{beside})")
+    elif equal > _EQUAL:
         lines.append(f"{100 * equal:.0f} % of its outputs are equal; check that the sensor works")
     return lines
 

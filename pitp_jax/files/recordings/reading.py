@@ -9,21 +9,20 @@ The name of a record is its file name without the suffix; where names collide in
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from glob import glob
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...common.errors import BadInput, cleaned
+from ...common.errors import BadInput, cleaned, refuse_traced
 from ...common.units import base_unit, from_base
 from ...method.signal.checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
-from ...method.signal.record import Record
+from ...method.signal.record import Record, Timed, own_column, range_in
 from ...method.signal.sets import check_set
-from ...method.signal.target import Target
 from ..containers.columns import Loaded, load_columns
-from ..containers.formats import split_suffix
+from ..containers.formats import SUFFIXES, split_suffix, unread
 from ..containers.options import FOLDER_FILE as FOLDER_FILE
 from ..containers.options import OPTIONS, ReadOptions, joined_in
 from ..containers.refusal import Refused, together
@@ -38,6 +37,37 @@ from .turns import unwrap
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
 _QUANTITIES = ("time", "voltage", "displacement")
+
+
+@dataclass(frozen=True, eq=False)
+class Target(Timed):
+    """A wanted motion over time, input of the inverse model.
+
+    Attributes:
+        time: sample times in s, shape (T,), uniform to 1 % of a sample.
+        displacement: wanted output in its base unit, shape (T,), no missing samples.
+        displacement_unit: unit it had in its file.
+        source: the file, for messages.
+
+    Raises:
+        BadInput: shapes differ, fewer than two samples, non-uniform time, a sample missing or infinite.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    displacement_unit: str = "m"
+    source: str = ""
+
+    def __post_init__(self):
+        """Refuse a target with gaps or a non-uniform time (`read_target` names the column and the line as well)."""
+        refuse_traced("Target", "inverse with an array", self.time, self.displacement)
+        for field in ("time", "displacement"):
+            object.__setattr__(self, field, own_column(getattr(self, field), f"{self.source or 'target'}: {field}"))
+        check_wanted(self.time, self.displacement, self.source or "target")
+
+    def __repr__(self) -> str:
+        span = range_in(self.displacement, self.displacement_unit)
+        return f"Target({len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
@@ -258,9 +288,11 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
         # read-mes and pictures beside the recordings are not records
         inside = [file for file in inside if _is_record(file)]
         if not inside:
+            other = next((file.name for file in sorted(path.iterdir()) if file.is_file()), "")
+            here = f" Here lies {cleaned(other)}: {unread(other)}." if other else ""
             raise BadInput(
                 f"{cleaned(path)}: no recording files in this folder (subfolders are not searched); give the folder "
-                "that holds the files"
+                f"that holds the files ({', '.join(SUFFIXES[5:])}).{here}"
             )
         files.extend(inside)
     return files
@@ -378,7 +410,7 @@ def _beside(options: ReadOptions, path: Path) -> ReadOptions:
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
     """List remarks on what was changed in a record while reading."""
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
-    notes = questions(masked.displacement, base_unit(unit))
+    notes = questions(put.rows.voltage, masked.displacement, base_unit(unit))
     if len(put.pieces) > 1:
         notes.append(f"split at its gaps into {len(put.pieces)} recordings")
     seen = [

@@ -24,7 +24,7 @@ from ..model.coverage import with_excited
 from ..model.domain import Domain
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted
-from ..model.input_map import INPUT_MAPS
+from ..model.input_map import INPUT_MAPS, usual_input_map
 from ..model.lineage import descended
 from ..model.model import Hold, Output, linear_model
 from ..model.origin import Origin, OutOfFold
@@ -146,7 +146,7 @@ def identify(
     records: Sequence[Record],
     *,
     order: int | str = "auto",
-    input_map: str = "square",
+    input_map: str | None = None,
     hold: Hold | None = None,
     learn: Sequence[str] = (),
     leave_out: Sequence[str] = (),
@@ -157,7 +157,7 @@ def identify(
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
         order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
-        input_map: "square" (F = u^2) or "linear" (F = u).
+        input_map: "square" (F = u^2), "linear" (F = u), or None: square for a voltage with a length, otherwise linear.
         hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
             is better by 0.3 %.
         learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
@@ -177,6 +177,8 @@ def identify(
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')
     """
+    if input_map is None and len(records):
+        input_map = usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
     _check_options(order, input_map, hold, learn, leave_out)
     check_set(records)
     check_motion(records)
@@ -209,7 +211,7 @@ def identify(
 
 
 def _check_options(
-    order: int | str, input_map: str, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
+    order: int | str, input_map: str | None, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
 ) -> None:
     """Refuse options of `identify` that do not exist or that exclude each other."""
     if input_map not in INPUT_MAPS:

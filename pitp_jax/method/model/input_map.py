@@ -12,6 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from ...common.units import kind_of
+
 Values = TypeVar("Values", Array, np.ndarray)  # of any shape, traced or in float64 on the host
 
 
@@ -79,3 +81,13 @@ class LinearInput(AbstractInputMap):
 
 
 INPUT_MAPS = {kind.name: kind for kind in (SquareInput, LinearInput)}
+
+
+def usual_input_map(input_unit: str, output_unit: str) -> str:
+    """Return the name of the input map that units suggest: square for a voltage with a length, otherwise linear.
+
+    Args:
+        input_unit, output_unit: of the records.
+    """
+    kinds = kind_of(input_unit), kind_of(output_unit)
+    return SquareInput.name if kinds == ("voltage", "length") else LinearInput.name

@@ -1,0 +1,146 @@
+"""Recognise the structure of a log before its numbers are used: rows that take turns, sign bits, values that stand.
+
+rows of several joints   a column's values take turns in one order, and the signals jump with them, or stamps repeat
+sign and magnitude       v >= 2^n  ->  -(v - 2^n)   if the motion passes zero there, and no value lies between
+values that stand        y changes every P > 1 rows only, by more than its resolution: the bus is slower than the log
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ...common.errors import BadInput, cleaned
+from .table import Table
+
+_MOST_KEYS, _TURNS = 64, 8  # joints of a log; rows of each, at least
+_IN_ORDER = 0.9  # fraction of rows after which the same key follows
+_SMOOTHER = 2.0  # times smoother is a signal within its key than from row to row
+_BITS = (7, 9, 10, 11, 15, 31)  # of a register, that may be its sign
+_NEAR = 10.0  # usual steps from zero within which a motion passes it
+_CHANGES, _REGULAR = 24, 0.9  # changes of an output that show a refresh; fraction of them in its rhythm
+_FASTEST = 1.8  # rows a refresh, at least
+
+
+def keys_in_turn(table: Table, chosen: Sequence[int], time: np.ndarray, signals: Sequence[np.ndarray]):
+    """Return the column whose values take turns from row to row, and those values; None if there is none.
+
+    Args:
+        table: the opened file.
+        chosen: places of time, input and output, which are no keys.
+        time: of the rows, s, shape (T,).
+        signals: input and output, shape (T,) each.
+    """
+    for place, column in enumerate(table.columns):
+        if not column.name or place in chosen:
+            continue
+        keys = _keys(table, place)
+        if keys is None or len(keys) != len(time) or any(len(s) != len(time) for s in signals):
+            continue
+        values, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
+        if not 2 <= len(values) <= _MOST_KEYS or counts.min() < _TURNS or not _in_order(index):
+            continue
+        within = np.concatenate([np.flatnonzero(index == k) for k in range(len(values))])
+        if _repeats(time) and not _repeats(time[index == 0]) or any(_apart(s, within) for s in signals):
+            return column.name, list(dict.fromkeys(cleaned(k) for k in keys.tolist()))
+    return None
+
+
+def _keys(table: Table, place: int) -> np.ndarray | None:
+    """Return the values of a column that may be keys: texts, or whole numbers; None for other columns."""
+    try:
+        if table.columns[place].form == "text":
+            return table.texts(place) if table.texts is not None else None
+        values = table.load([place])[0]
+    except BadInput:
+        return None
+    whole = np.isfinite(values).all() and len(values) and np.array_equal(values, np.round(values))
+    return values.astype(np.int64) if whole and np.abs(values).max() < 2**53 else None
+
+
+def _in_order(index: np.ndarray) -> bool:
+    """Return whether each key is followed by one and the same other key, which differs from key to key."""
+    followers = []
+    for k in np.unique(index):
+        after, counts = np.unique(index[1:][index[:-1] == k], return_counts=True)
+        if not len(after) or counts.max() < _IN_ORDER * counts.sum():
+            return False
+        followers.append(int(after[np.argmax(counts)]))
+    return len(set(followers)) == len(followers) and all(k != f for k, f in enumerate(followers))
+
+
+def _repeats(time: np.ndarray) -> bool:
+    """Return whether a third of the stamps repeat the stamp before, or more."""
+    return len(time) > 1 and float(np.mean(np.diff(time) == 0)) >= 1 / 3
+
+
+def _apart(values: np.ndarray, within: np.ndarray) -> bool:
+    """Return whether a signal is much smoother in this order of its rows than from row to row."""
+    rows, keyed = (float(np.nanmean(np.abs(np.diff(v)))) for v in (values, values[within]))
+    return bool(rows > _SMOOTHER * keyed)
+
+
+def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
+    """Return which bit of a register is its sign; None if the values are plain numbers.
+
+    Args:
+        values: as in the file, shape (T,).
+        other: the sign bit of another column of this log, which a command that jumps across zero shares.
+    """
+    seen = values[np.isfinite(values)]
+    if len(seen) < 2 or seen.min() < 0 or not np.array_equal(seen, np.round(seen)):
+        return None
+    for bit in _BITS:
+        sign = 2.0**bit
+        high = seen >= sign
+        if not high.any() or high.all() or seen[high].max() >= 1.5 * sign or seen[~high].max() >= sign / 2:
+            continue
+        at = np.flatnonzero(np.diff(high))
+        magnitude = np.where(high, seen - sign, seen)
+        steps = np.abs(np.diff(np.where(high, -magnitude, magnitude)))
+        moving = np.delete(steps, at)
+        usual = float(np.median(moving[moving > 0])) if moving.any() else 0.0
+        if bit == other or steps[at].max() <= _NEAR * max(usual, 1.0):
+            return bit
+    return None
+
+
+def signed(values: np.ndarray, bit: int) -> np.ndarray:
+    """Read a register as sign and magnitude.
+
+    Args:
+        values: shape (T,).
+        bit: that holds the sign.
+    """
+    return np.where(values >= 2.0**bit, 2.0**bit - values, values)
+
+
+def refreshed(values: np.ndarray) -> tuple[np.ndarray, float] | None:
+    """Return where an output that stands several rows each was refreshed, in rows, and rows per refresh; or None.
+
+    A ramp of a coarse sensor also changes in a rhythm, but always by its resolution; there the rows stay as they are.
+
+    Args:
+        values: output, shape (T,).
+    """
+    steps = np.diff(values)
+    at = np.flatnonzero(steps) + 1
+    if len(at) < _CHANGES or not np.isfinite(values).all():
+        return None
+    gaps, sizes = np.diff(at), np.abs(steps[at - 1])
+    period = float(np.median(gaps))
+    turns = np.maximum(np.round(gaps / period), 1)
+    for _ in range(3):  # the median of 6 and 7 rows is refined to 6.4
+        period = float(gaps.sum() / turns.sum())
+        turns = np.maximum(np.round(gaps / period), 1)
+    regular = (turns == 1) & (np.abs(gaps - period) < 1)
+    if period < _FASTEST or regular.mean() < _REGULAR or np.median(sizes) < 2 * sizes.min():
+        return None
+    count = np.append(0, np.cumsum(turns))
+    period = float(np.polyfit(count, at, 1)[0])
+    # a value is logged in the first row after its refresh
+    late = at - period * count
+    first = float(late.min())
+    if late.max() - first > 1 + 0.1 * period:  # rows were lost, so the rhythm is unknown
+        return None
+    before = int(first // period)
+    return first + period * np.arange(-before, int((len(values) - 1 - first) // period) + 1), period
