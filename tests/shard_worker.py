@@ -8,8 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from pitp_jax.method.diagnose.data import build_case
-from pitp_jax.method.diagnose.library import INDEX
 from pitp_jax.method.fit.forward_sensitivity import Runs, run_slopes
 from pitp_jax.method.fit.free_run_problem import FreeRuns
 from pitp_jax.method.fit.parameters import parameters
@@ -20,7 +18,6 @@ from pitp_jax.method.model.input_map import SquareInput
 from pitp_jax.method.model.memory import FadingMemory
 from pitp_jax.method.model.model import Output, linear_model
 from pitp_jax.method.numerics.spline_derivative import derivatives
-from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
 from pitp_jax.method.simulate.devices import (
     local_rows,
@@ -86,20 +83,7 @@ def errors(me: int, processes: int) -> dict:
     for name in ("errors", "slopes"):
         blocks = (getattr(meshed, name)(vector)[0][:RECORDS], getattr(alone, name)(vector)[:-1])
         found[f"free runs, {name}"] = error(blocks[0], np.concatenate(blocks[1])[:RECORDS])
-    return found | {"candidates": candidates(model, volts, mesh)}
-
-
-def candidates(model, volts, mesh):
-    """Free runs of a diagnosis' candidates, shared by all devices."""
-    t = np.arange(SAMPLES) * DT
-    records = [Record(f"r{k}", t, u.astype(float), 1e-4 * np.sin(9 * t) ** 2) for k, u in enumerate(volts[:3])]
-    runs, places = [], [k % 3 for k in range(70)]
-    for devices in ((), tuple(mesh.local_devices)):
-        case = build_case(model, records, devices)
-        slots = np.tile(case.nominal, (70, 1))
-        slots[:, INDEX["stiffening: cubic, c"]] = 0.02 * np.arange(70)
-        runs.append(np.stack(case.simulator.run(slots, places, case.starts[places])))
-    return error(runs[1], runs[0])
+    return found
 
 
 def main():

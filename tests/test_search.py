@@ -152,7 +152,7 @@ def test_a_search_on_parts_counts_only_if_it_accepts_a_set(recorded, monkeypatch
 
     monkeypatch.setattr(diagnosis, "Search", Found)
     limit = Budget(most=1000, lane_steps=300)
-    found = diagnosis._searched(recorded[0], recorded[1], False, (), limit, ())
+    found = diagnosis._searched(recorded[0], recorded[1], False, (), limit)
     case = build_case(*recorded)
     all_of_them, one = excitations(case), excitations(case.alone([3]))
     assert one < all_of_them

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SEARCH_STEPS = 400_000_000  # simulated steps of a search: about 60 CPU s at 150 ns
+SEARCH_STEPS = 400_000_000  # simulated steps of a search: about 30 CPU s at 75 ns
 _RUNS = 36_000  # runs of all records that the deepest searches took
 _EVERY_S = 5.0  # between lines of progress
 _KNOWN = 0.01  # fraction of the steps after which the time left is printed

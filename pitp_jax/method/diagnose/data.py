@@ -143,15 +143,12 @@ class Case:
         return rows
 
 
-def build_case(
-    model: Model, records: Sequence[Record], devices: Sequence = (), whole: Sequence[Record] | None = None
-) -> Case:
+def build_case(model: Model, records: Sequence[Record], whole: Sequence[Record] | None = None) -> Case:
     """Build the case: thin the records, remove their offsets and directions, and estimate their initial states.
 
     Args:
         model: the nominal.
         records: recordings, or named pieces of them.
-        devices: for the runs; empty: the default device.
         whole: the recordings from which pieces were cut.
 
     Raises:
@@ -192,7 +189,7 @@ def build_case(
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     substeps = steps_a_sample(nominal, records[0].dt * k)
-    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, tuple(devices))
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps)
     case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
     return _beside(case, records) if foreign else case
 

@@ -196,7 +196,7 @@ def diagnose(
         exclude: effects left out of the catalogue.
         seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
-        mesh: devices of this process that share the runs (`records_mesh`); default one device.
+        mesh: devices of this process (`records_mesh`); the runs of a diagnosis take the processor's cores.
 
     Returns:
         verdict, effects, budget, and the best model that beats the nominal out of fold. An interrupt (Ctrl-C) ends the
@@ -219,8 +219,7 @@ def diagnose(
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
-    devices = tuple(mesh.devices.flat) if mesh is not None else ()
-    found, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit, devices)
+    found, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit)
     notes = (*fault.remarks(records[0].dt), *notes)
     search, pieces, before, interrupted = found.search, found.pieces, found.before, found.interrupted
     case, own, misfit, source = search.case, found.own, search.misfit, found.source
@@ -310,14 +309,14 @@ def diagnose(
 
 
 def _searched_without_fault(
-    model: Model, records: Sequence[Record], refit: bool, exclude: Sequence[str], limit: Budget, devices
+    model: Model, records: Sequence[Record], refit: bool, exclude: Sequence[str], limit: Budget
 ) -> tuple["_Searched", Fault, Sequence[Record]]:
     """Search; if the output is certainly ahead of the input, correct the records and search again.
 
     Returns:
         the search, the fault of the records, and the records without it.
     """
-    found = _searched(model, records, refit, exclude, limit, devices)
+    found = _searched(model, records, refit, exclude, limit)
     fault, best = Fault(), found.search.best()
     if SHIFT.name in best.names and not found.interrupted:
         if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
@@ -325,7 +324,7 @@ def _searched_without_fault(
             fault = found_fault if found_fault.is_acausal else fault
             records = fault.corrected(records)
         exclude, limit.most = (*exclude, SHIFT.name), limit.most + limit.lane_steps
-        found = _searched(model, records, refit, exclude, limit, devices)
+        found = _searched(model, records, refit, exclude, limit)
     return found, fault, records
 
 
@@ -366,9 +365,9 @@ class _Searched:
     interrupted: bool
 
 
-def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, limit: Budget, devices) -> _Searched:
+def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, limit: Budget) -> _Searched:
     searched, pieces = cut(model, records)
-    case = build_case(model, searched, devices, records)
+    case = build_case(model, searched, records)
     began = limit.elapsed
     before = package_error(model, records)
     # free runs of all recordings follow the search: of the best hypotheses, and for the report

@@ -237,7 +237,6 @@ OFF = np.array([0.0] * 3 + [off for spec in ROWS for off in spec.off])
 LOGARITHM = np.array([True] * 3 + [p.positive for p in _NUMBERS])
 LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])
 MOST = np.array([np.inf] * 3 + [p.most for p in _NUMBERS])
-COSTLY = np.array([False] * 3 + [spec.costly and p.off is not None for spec in ROWS for p in spec.parameters])
 # parameters without influence while their effect's strength is off
 SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
 FIXED = np.array([False] * 3 + [p.fixed for p in _NUMBERS])

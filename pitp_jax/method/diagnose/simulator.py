@@ -8,14 +8,13 @@ linearly implicit along their own tangent: f = f(x_m, v_m) / (1 + f' b_x / 2 + f
 last, on the motion after all other forces. An integrator with numerical damping (0.04 at 20 samples a period) changed 5
 of 18 outcomes.
 
-The step is written for one parameter vector and one record, and is mapped over a block, whose index is the last axis.
-Few programs serve all blocks.
+The step is written for one parameter vector and one record; `simulate.free_runs` compiles it and runs it for all.
 """
 
-from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -23,11 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects.effect import Effect, Instant
-from .library import AHEAD, COSTLY, DELAY, EARLY, INDEX, MONITOR, OFF, PLACES, ROWS
+from ..simulate.free_runs import free_runs
+from .library import AHEAD, DELAY, EARLY, INDEX, MONITOR, PLACES, ROWS
 
-WIDTHS, CHUNK, THREADS = (32, 256), 256, 2  # simulations a block, steps a call, blocks at a time
 FAR = 1e4  # scaled displacement from which a run has diverged
-_CHEAP = tuple(r for r in ROWS if not r.costly)
 
 
 @dataclass(frozen=True)
@@ -94,7 +92,6 @@ class Simulator:
         force_scale: of F.
         rates: 1/s, of the scales of x' and x, and of x'' and x'.
         substeps: steps a sample.
-        devices: blocks run on these in turn; empty: on the default device.
     """
 
     drives: tuple[Drive, ...]
@@ -102,60 +99,38 @@ class Simulator:
     force_scale: float
     rates: tuple[float, float]
     substeps: int
-    devices: tuple = ()
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
         """Simulate parameter vectors, each with a record from (x, v); return scaled outputs (T,), nan if diverged."""
         places = np.asarray(records, int)
-        costly = (slots != OFF)[:, COSTLY].any(1)
-        steps = np.array([len(d.voltage) for d in self.drives])[places]
-        # similar ones together, so that blocks share lengths, delays and the cheap program
-        order = np.lexsort((_delay(slots), places, -steps, costly))
-        blocks, place = [], 0
-        while place < len(order):
-            mixed = costly[order[place]]
-            count = int(np.searchsorted(costly[order], mixed, "right")) - place
-            width = WIDTHS[0] if count <= 2 * WIDTHS[0] else WIDTHS[1]
-            blocks.append((order[place : place + min(count, width)], width, bool(mixed)))
-            place += min(count, width)
-        outputs: list = [None] * len(records)
-
-        def run(numbered):
-            k, (block, width, mixed) = numbered
-            with jax.default_device(self.devices[k % len(self.devices)] if self.devices else None):
-                return self._block(slots[block], places[block], starts[block], width, mixed)
-
-        with ThreadPoolExecutor(max(THREADS, len(self.devices))) as pool:
-            runs = pool.map(run, enumerate(blocks))
-            for (block, _, _), rows in zip(blocks, runs, strict=True):
-                for k, row in zip(block, rows, strict=True):
-                    outputs[k] = row
+        steps = np.array([len(d.voltage) for d in self.drives])[places] * self.substeps
+        outputs: list = [None] * len(places)
+        for count in np.unique(steps):
+            some = np.flatnonzero(steps == count)
+            rows = self._equally_long(slots[some], places[some], starts[some], int(count))
+            for k, row in zip(some, rows, strict=True):
+                outputs[k] = row
         return outputs
 
-    def _block(self, slots, records, starts, width: int, costly: bool) -> list[np.ndarray]:
-        lanes = len(records)
-        # copies of the last simulation fill the block, so that programs have few widths
-        fill = np.concatenate([np.arange(lanes), np.full(width - lanes, lanes - 1)])
-        slots, records, starts = slots[fill], records[fill], starts[fill]
+    def _equally_long(self, slots, records, starts, steps: int) -> np.ndarray:
+        """Simulate runs of one number of steps; return their scaled outputs, shape (runs, samples)."""
         drives = [self.drives[r] for r in records]
-        sizes = [len(d.voltage) for d in drives]
-        steps = -(-max(sizes) * self.substeps // CHUNK) * CHUNK
-        inputs, h = self._inputs(slots, records, steps), np.array([d.dt for d in drives]) / self.substeps
-        before = np.array([inputs[0, k] if d.before is None else d.before for k, d in enumerate(drives)], float)
-        session = np.array([(d.age, d.reached) for d in drives])
-        how = self.square, 1 / self.force_scale, self.rates
-        with jax.enable_x64(True):
-            plant = _plant(slots[:, :3], h)
-            effects, once, state = _begin(ROWS if costly else _CHEAP, slots.T, h, starts.T, before, session.T)
-            pieces = []
-            for first in range(0, steps, CHUNK):
-                state, y = _advance(how, effects, once, plant, state, inputs[first : first + CHUNK + 1])
-                pieces.append(np.asarray(y))
-        y = np.concatenate(pieces)[:: self.substeps]
-        return [y[: sizes[k], k] for k in range(lanes)]
+        inputs, column = self._inputs(slots, records, steps)
+        first, h = inputs[column, 0], np.array([d.dt for d in drives]) / self.substeps
+        before = [u if d.before is None else d.before for u, d in zip(first, drives, strict=True)]
+        session = [(d.age, d.reached) for d in drives]
+        common = np.tile([1 / self.force_scale, *self.rates], (len(records), 1))
+        parameters = np.concatenate([common, np.stack(_plant(slots[:, :3], h), 1), slots], 1)
+        begin, step = _programs(self.square)
+        start = free_runs(begin, parameters, np.column_stack([starts, before, session]), inputs[:, :1], column)[:, 0]
+        start[:, -1] = first
+        return free_runs(step, parameters, start, inputs[:, 1:], column)[:, :: self.substeps, 0]
 
-    def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> np.ndarray:
-        """Return delayed voltages at the ends of the steps, (steps + 1, simulations); V|V| is linear in between."""
+    def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return delayed voltages at the ends of the steps, (columns, steps + 1), and the column of each simulation.
+
+        V|V| is linear in between.
+        """
         # one delayed input for all simulations with the same record, delay and lag of the input column
         rows = np.stack([records, _delay(slots), slots[:, INDEX[MONITOR]]], 1)
         groups, which = np.unique(rows, axis=0, return_inverse=True)
@@ -170,7 +145,7 @@ class Simulator:
             column = np.interp(place - delay / drive.dt, np.arange(len(force)), force)
             column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))
-        return np.ascontiguousarray(np.stack(columns, 1)[:, which.ravel()])
+        return np.stack(columns), which.ravel()
 
     def _jumped(self, column: np.ndarray, drive: Drive, delay: float) -> np.ndarray:
         """Return a delayed voltage, with the voltage before the record ahead of its first sample.
@@ -282,31 +257,38 @@ class Middle(Instant):
         return self.state[1]
 
 
-@partial(jax.jit, static_argnums=0)
-@partial(jax.vmap, in_axes=(None, *(-1,) * 5), out_axes=-1)
-def _begin(rows, slots, h, start, volts, session):
-    """Return effects, constants of their memories, and the initial state (x, v, x' of the last step, memories).
+@lru_cache(2)
+def _programs(square: bool) -> tuple[Callable, Callable]:
+    """Return the beginning of a run and its step, both as `free_runs` takes a step.
 
-    Memories are settled at the previous voltage.
+    Parameters: 1 / force scale, the two rates, the plant, the slots. State of the step: x, v, x' of the last step, the
+    memories, the voltage before the step.
     """
-    effects, parts, y = [r(*slots[PLACES[r]]) for r in rows], [], start[0]
-    for e in effects:
-        z = e.start(volts if e.port == "IN" else y if e.port == "OUT" else start[0], session[0])
-        parts.append(e.resumed(z, session[1]))
-        y = e.apply(y, parts[-1]) if e.port == "OUT" else y
-    return effects, [e.once(h) for e in effects], (start[0], start[1], start[1], parts)
+    plant_ends = 3 + len(Plant._fields)
+    ends = np.cumsum([3, *(r.kernel.size for r in ROWS)]).tolist()
 
+    def effects_of(p) -> list[Effect]:
+        return [r(*p[plant_ends + PLACES[r].start : plant_ends + PLACES[r].stop]) for r in ROWS]
 
-@partial(jax.jit, static_argnums=0)
-def _advance(how, effects, once, plant, state, volts):
-    step = jax.vmap(partial(_step, *how), in_axes=-1, out_axes=-1)
-    read = jax.vmap(_reading, in_axes=-1, out_axes=-1)
+    def begin(parameters, start, _):
+        """Settle all memories at the previous voltage; the outputs are the state of the step."""
+        (x, v, volts, age, reached), parts, y = list(start), [], start[0]
+        for e in effects_of(list(parameters)):
+            z = e.start(volts if e.port == "IN" else y if e.port == "OUT" else x, age)
+            parts.append(e.resumed(z, reached))
+            y = e.apply(y, parts[-1]) if e.port == "OUT" else y
+        return start, jnp.concatenate([jnp.stack([x, v, v]), *parts, volts[None]])
 
-    def along(state, ends):
-        lost = jnp.abs(state[0]) >= FAR
-        return step(effects, once, plant, state, *ends), jnp.where(lost, jnp.nan, read(effects, state))
+    def step(parameters, state, after):
+        p = list(parameters)
+        plant, effects, before = Plant(*p[3:plant_ends]), effects_of(p), state[-1]
+        once = [e.once(plant.h) for e in effects]
+        inner = (*state[:3], [state[a:b] for a, b in pairwise(ends)])
+        y = jnp.where(jnp.abs(inner[0]) >= FAR, jnp.nan, _reading(effects, inner))
+        x, v, speed, parts = _step(square, p[0], p[1:3], effects, once, plant, inner, before, after)
+        return jnp.concatenate([jnp.stack([x, v, speed]), *parts, after[None]]), y
 
-    return jax.lax.scan(along, state, (volts[:-1], volts[1:]))
+    return begin, step
 
 
 def _reading(effects: list[Effect], state):

@@ -14,12 +14,11 @@ _ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
 _INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
 
 
-def _stretched(form: str, title: str, equation: str, factor: Callable, costly: bool = False) -> EffectSpec:
+def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
     """Build a catalogue entry: F times a positive factor that depends on x; the inverse divides by it."""
     return EffectSpec(
         "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
-        costly=costly,
     )  # fmt: skip
 
 
@@ -41,7 +40,7 @@ COUPLING = (
     ),
     _stretched(
         "exponential", "Zipping electrodes pull less and less, or more and more, as they move.", "F exp(b x)",
-        lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)), costly=True,
+        lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
     ),
     EffectSpec(
         "dielectric_saturation", "rational", (_INVERSE,), "At high field the force grows less than with the square of "

@@ -82,17 +82,17 @@ FRICTION = (
     EffectSpec(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),
         "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)", "dissipation", "C",
-        law=_smooth, resolved=True, costly=True,
+        law=_smooth, resolved=True,
     ),
     EffectSpec(
         "coulomb_friction", "Stribeck", (_LEVEL, Parameter("rise"), Parameter("speed", "x/s", speed=1)),
         "Dry friction that is larger at low speed.", "f = level (1 + rise exp(-(x' / speed)^2)) sgn(x')",
-        "dissipation", "C", resolved=True, law=_stribeck, costly=True,
+        "dissipation", "C", resolved=True, law=_stribeck,
     ),
     EffectSpec(
         "coulomb_friction", "bristles", (_LEVEL, Parameter("give", "x", length=1)),
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
-        "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"), costly=True,
+        "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"),
         law=lambda p, now: p.level * now.z[0] / p.give,
     ),
     EffectSpec(
@@ -103,6 +103,6 @@ FRICTION = (
         ),
         "Dry friction that grows with the force that a gear transmits, and differs when the load drives it.",
         "f = mu_avg |g| z / give + mu_dif g (z / give)^2, g = k x + a_2 x'', dz = dx - |dx| z / give",
-        "dissipation", "C", kernel=dahl("give"), costly=True, law=_loaded,
+        "dissipation", "C", kernel=dahl("give"), law=_loaded,
     ),
 )  # fmt: skip

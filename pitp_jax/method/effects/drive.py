@@ -130,7 +130,7 @@ DRIVE = (
         (*(Parameter(f"w{k}", positive=False, off=0.0) for k in (1, 2, 3, 4)), Parameter("width", "V")),
         "The film polarises along a loop that is the same at every frequency.",
         "V = u + sum_j w_j (z_j - u), z_j plays of u of half width (0.04, 0.125, 0.25, 0.4) width", "dissipation", "IN",
-        costly=True, kernel=play(0.04, 0.125, 0.25, 0.4),
+        kernel=play(0.04, 0.125, 0.25, 0.4),
         law=lambda p, u, z: u + p.w1 * (z[0] - u) + p.w2 * (z[1] - u) + p.w3 * (z[2] - u) + p.w4 * (z[3] - u),
     ),
     EffectSpec(
@@ -138,7 +138,7 @@ DRIVE = (
         (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
         "If the command is a speed, a force builds up over the commanded distance and then stays constant.",
         "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN",
-        costly=True, kernel=dahl_of_integral(), reported=_by_area,
+        kernel=dahl_of_integral(), reported=_by_area,
         law=lambda p, u, z: u + p.level * z[0],
     ),
     _crossing(

@@ -51,7 +51,6 @@ LOOPS = (
         "hysteresis", "plays", _WIDTH, "Internal friction of the material makes a loop that is the same at every "
         "frequency.",
         "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
-        costly=True,
         # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
         kernel=play(0.15, 0.4, 1.0, 2.2),
         law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
@@ -59,14 +58,14 @@ LOOPS = (
     EffectSpec(
         "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each reversal and then stays "
         "constant.",
-        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", costly=True, kernel=dahl(),
+        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
         stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     EffectSpec(
         # beyond its bounds gamma makes a spring of any shape
         "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
         "A loop that gets softer with distance, or harder with gamma below -1.",
-        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K", costly=True,
+        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K",
         kernel=bouc_wen(), stiffens=True,
         law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
@@ -77,6 +76,6 @@ DRIFT = (
     EffectSpec(
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
         "The stiffness changes during the session, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
-        costly=True, kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
+        kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
     ),
 )  # fmt: skip

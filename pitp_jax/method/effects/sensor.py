@@ -49,7 +49,6 @@ SENSOR = (
     EffectSpec(
         "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
         "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
-        costly=True,
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
         # beyond its range the sensor cannot show the wanted reading: the last possible position
         inverse=lambda p, y, dt: jnp.where(

@@ -74,7 +74,6 @@ class EffectSpec:
         solvable: fn(p), false if solving a law with a memory would diverge: the output is then passed on.
         passes: fn(p, series, dt), true where some input gives this film voltage (IN).
         driven: its force depends on the film's force, so an inverse must solve for that.
-        costly: a step needs exponentials or many states; the search simulates such sets separately.
         resolved: friction and slack, whose force follows within a step after all other forces.
         only_given: fitted if the nominal model has it; the search does not add it (docs/decisions/verdict.md).
         linear: a part of a linear model (a delay or filter of input or reading).
@@ -105,7 +104,6 @@ class EffectSpec:
     solvable: Callable[..., Any] | None = field(default=None, compare=False)
     passes: Callable[..., Any] | None = field(default=None, compare=False)
     driven: bool = field(default=False, compare=False)
-    costly: bool = field(default=False, compare=False)
     resolved: bool = field(default=False, compare=False)
     only_given: bool = field(default=False, compare=False)
     linear: bool = field(default=False, compare=False)

@@ -118,35 +118,35 @@ SPRINGS = (
     EffectSpec(
         "softening", "saturating", _CURVATURE, "The spring's force stops growing at large displacements.",
         "f = 0.97 k (L tanh(x / L) - x), curvature = 1 / L", "stiffness", "K",
-        law=_saturating, costly=True,
+        law=_saturating,
     ),
     EffectSpec(
         "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
         "The spring gets softer in one direction and harder in the other.",
         "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
-        law=_exponential, costly=True,
+        law=_exponential,
     ),
     EffectSpec(
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, whose torque grows less than the angle.",
-        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K", costly=True,
+        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
         law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
     ),
     EffectSpec(
         "softening", "weight on an arm",
         (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
         "A weight on an arm acts in addition to the spring; its torque grows less than the angle.",
-        "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True, costly=True,
+        "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True,
         law=_weight,
     ),
     EffectSpec(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",
         "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L", "stiffness", "K",
-        law=_root, costly=True,
+        law=_root,
     ),
     EffectSpec(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
         "The spring is softer after a larger stretch (Mullins effect).",
-        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST, costly=True,
+        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST,
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,
     ),
     EffectSpec(

@@ -99,16 +99,23 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
     name, params = equation.primitive.name, equation.params
     if name in ("reshape", "squeeze") and params.get("dimensions") is None or name == "squeeze":
         return [args[0].reshape(equation.outvars[0].aval.shape)]
-    if name == "slice" and params["strides"] is None:
-        ends = zip(params["start_indices"], params["limit_indices"], strict=True)
-        return [args[0][tuple(slice(a, b) for a, b in ends)]]
+    if name == "slice":
+        ends = params["start_indices"], params["limit_indices"], params["strides"] or [1] * args[0].ndim
+        return [args[0][tuple(map(slice, *ends))]]
     if name == "concatenate":
         return [np.concatenate(args, params["dimension"])]
+    if name == "transpose":
+        return [args[0].transpose(params["permutation"])]
+    if name == "broadcast_in_dim":
+        kept = dict(zip(params["broadcast_dimensions"], args[0].shape, strict=True))
+        shape = params["shape"]
+        return [np.broadcast_to(args[0].reshape([kept.get(k, 1) for k in range(len(shape))]), shape)]
     if name not in _MOVES:
         raise BadInput(f"a step with the operation {name} cannot be written as C; use other operations in your encoder")
     moving = _MOVES[name]
     firsts = np.cumsum([0, *(a.size for a in args[:moving])])
-    # JAX itself moves the places, as numbers, so no rule of slicing or padding is written twice
+    # JAX itself moves the places, as numbers, so no rule of padding or gathering is written twice; it compiles a
+    # program for each shape, and therefore the most frequent moves above are NumPy's
     pool = np.concatenate([a.ravel() for a in args[:moving]])
     places = [jnp.asarray(f + np.arange(a.size).reshape(a.shape)) for f, a in zip(firsts, args, strict=False)][:moving]
     still = [_number(a, equation) for a in args[moving:]]
@@ -119,8 +126,8 @@ def _moved(equation, args: list[np.ndarray]) -> list[np.ndarray]:
 
 # primitives that move elements, and the number of arguments moved; the others state the places
 _MOVES = {
-    "broadcast_in_dim": 1, "transpose": 1, "rev": 1, "slice": 1, "reshape": 1, "gather": 1, "dynamic_slice": 1,
-    "stack": 99, "unstack": 1, "pad": 2, "split": 1, "expand_dims": 1,
+    "rev": 1, "reshape": 1, "gather": 1, "dynamic_slice": 1, "stack": 99, "unstack": 1, "pad": 2, "split": 1,
+    "expand_dims": 1,
 }  # fmt: skip
 
 
