@@ -7,21 +7,18 @@ Every function returns the axes it drew on and makes its own `Figure` if none we
 import numpy as np
 import scipy
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from pitp_jax.application.pages.drawing import (
-    BINS,
     CYCLE,
     DRIVE,
     ERROR,
     MEASURED,
     PREDICTED,
-    finish,
     line,
-    over,
-    own_axes,
-    thin,
     volts,
 )
+from pitp_jax.common.picture import BINS, finish, thin
 
 _UNITS = {"m": (1e3, "displacement (mm)"), "V": (1.0, "output (V)")}
 _ERRORS = {"m": ("error (mm)", "error (µm)"), "V": ("error (V)", "error (mV)")}
@@ -224,3 +221,24 @@ def same_length(*arrays: np.ndarray) -> None:
     """Refuse signals that do not all have shape (T,) and the same length."""
     if len({a.shape for a in arrays}) > 1 or arrays[0].ndim != 1:
         raise ValueError(f"signals must have shape (T,) and one length, not {[a.shape for a in arrays]}")
+
+
+def own_axes(axes, rows: int, size: tuple[float, float], heights=None) -> np.ndarray:
+    """Return the caller's axes as an array (rows,), or those of a new figure of `size` inches with one time axis."""
+    if axes is None:
+        figure = Figure(figsize=size, layout="constrained")
+        ratios = {"height_ratios": heights} if heights else {}
+        axes = figure.subplots(rows, 1, sharex=True, squeeze=False, gridspec_kw=ratios)[:, 0]
+        figure.align_ylabels(axes)
+    axes = np.atleast_1d(np.asarray(axes, dtype=object)).ravel()
+    if len(axes) != rows:
+        raise ValueError(f"this figure needs {rows} axes, not {len(axes)}")
+    return axes
+
+
+def over(values: np.ndarray) -> dict:
+    """Return the style of a line drawn over another: dashed, or transparent if it fills a band."""
+    turns = np.count_nonzero(np.diff(np.diff(values) > 0))
+    if turns < 25:
+        return {"ls": "--"}
+    return {"alpha": 0.6} if turns > 200 else {}

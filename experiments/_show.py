@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from _paper import ACTUATORS
+from _paper_figures import over
 from matplotlib.figure import Figure
 
-from pitp_jax.application.pages.drawing import MEASURED, PREDICTED, over
+from pitp_jax.application.pages.drawing import MEASURED, PREDICTED
 
 
 def arguments(doc: str, argv, smoke: bool, plants=("cone100",)):

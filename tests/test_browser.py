@@ -91,7 +91,7 @@ def with_long_names(found):
 
 
 VERDICTS = ("explained", "tied", "no_gap", "unknown")
-CELLS = {"index": (0, 10), "bode": (8, 8)}  # of its tables; every other page has more than ten
+CELLS = {"index": (0, 10), "bode": (7, 7)}  # of its tables; every other page has more than ten
 KINDS = ("compare", "fit", "bode", "check", "plan", "against", "index", "partly", "long_names", *VERDICTS)
 
 

@@ -12,11 +12,12 @@ from matplotlib import rcParams
 from matplotlib.figure import Figure
 from typed import some
 
-from pitp_jax.application.pages.drawing import BINS, beside, finish, fit_legends, over, own_axes, some_periods, thin
+from pitp_jax.application.pages.drawing import beside, some_periods
+from pitp_jax.common.picture import BINS, finish, new_axes, shrink, thin
 
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 plot: Any = SimpleNamespace(**runpy.run_path(str(EXPERIMENTS / "_paper_figures.py")))
-envelope, error_shown, extremes = plot.envelope, plot.error_shown, plot.extremes
+envelope, error_shown, extremes, over = plot.envelope, plot.error_shown, plot.extremes, plot.over
 
 T = np.arange(500) / 1e3
 X = 1e-3 * np.sin(2 * np.pi * 5 * T)
@@ -187,11 +188,11 @@ def test_no_legend_is_wider_than_its_figure():
         ("robot", "MuJoCo, before", "MuJoCo, after"),
         ("l" * 90,),
     ):
-        axes = own_axes(None, 1, (3.55, 2.0))
+        axes = new_axes(1, 2.0)
         for label in labels:
             axes[0].plot([0, 1], [0, 1], label=label)
         finish(axes, "x", ["y"])
-        fit_legends(axes[0].figure, 8.5)
+        shrink(axes[0].figure)
         axes[0].figure.draw_without_rendering()
         assert axes[0].get_legend().get_window_extent().x1 <= axes[0].figure.bbox.x1
 

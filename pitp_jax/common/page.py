@@ -37,7 +37,7 @@ figcaption{font-size:.88rem;overflow-wrap:anywhere}
 table{border-collapse:collapse;font-size:.85rem;font-variant-numeric:tabular-nums;width:100%}
 th,td{text-align:right;vertical-align:top;padding:.28rem .45rem;border-bottom:1px solid var(--rule)}
 th{color:var(--soft);font-weight:600}
-.text{text-align:left;overflow-wrap:anywhere;min-width:4.5rem}td:first-child{min-width:8rem}
+.text{text-align:left;overflow-wrap:anywhere;min-width:4.5rem}td:first-child{min-width:9.5rem}
 @media(max-width:50rem){table,tbody,tr,td{display:block}
 thead{display:none}
 tr{padding:.5rem 0;border-bottom:1px solid var(--rule)}.text,td:first-child{min-width:0}

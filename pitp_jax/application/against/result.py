@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...common.numbers import number, of_range
+from ...common.numbers import number, of_range, shown_unit
 from ...common.page import Page, Section, Table
 from ...common.shown import data_frame
 from ...method.diagnose.diagnosis import Diagnosis
@@ -147,7 +147,7 @@ class SimToReal:
     def table(self) -> Table:
         """Return the table of the parameters, for the page and the terminal."""
         rows = [
-            (p.words, p.simulator, p.robot, p.difference, p.stderr, p.unit, p.mujoco, p.physx, p.urdf)
+            (p.words, p.simulator, p.robot, p.difference, p.stderr, shown_unit(p.unit), p.mujoco, p.physx, p.urdf)
             for p in self.parameters
         ]
         note = (

@@ -16,19 +16,8 @@ from ...method.model.model import Model
 from ...files.model_file.model_file import save
 from ...method.signal.record import Record
 from ...files.recordings.writing import write_csv, write_text_atomic
-from ..pages.drawing import (
-    CYCLE,
-    DRIVE,
-    ERROR,
-    PREDICTED,
-    Picture,
-    beside,
-    figure_of,
-    finish,
-    own_axes,
-    signals,
-    volts,
-)
+from ...common.picture import Picture, figure_of, finish, new_axes
+from ..pages.drawing import CYCLE, DRIVE, ERROR, PREDICTED, beside, signals, volts
 from ..pages.drawn import FIGURES as HOME
 from ..pages.drawn import write_picture
 from ...method.simulate import decoder
@@ -110,7 +99,7 @@ def _beside(time, wanted, reached, names=("measured", "predicted")):
 
 def _loops(demo: Demo):
     """Draw output over voltage for one steady-state period at each frequency of Table II; dashed: predicted."""
-    ax = own_axes(None, 1, (3.6, 3.2))[0]
+    ax = new_axes(1, 3.2)[0]
     for t, color in zip(demo.tracks, CYCLE, strict=False):
         r = nearest(demo.train, demo.name, t.frequency)
         last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the voltage: x has twice its frequency

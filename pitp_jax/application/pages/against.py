@@ -5,11 +5,12 @@ from dataclasses import replace
 
 from ...common.numbers import shown_unit
 from ...common.page import Section
+from ...common.picture import Picture
 from ...common.units import from_base
 from ..against.result import SimToReal
 from .compare import overlay
 from .diagnosis.page import budget_table
-from .drawing import DRIVE, Picture, signals, some_periods
+from .drawing import DRIVE, signals, some_periods
 
 _DRAWN = 12  # recordings
 

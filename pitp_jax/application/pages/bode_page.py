@@ -4,16 +4,16 @@ G(jw) = polarity e^{-jw delay} / sum_i a_i (jw)^i
 """
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from ...common.numbers import figure, shown_unit, with_error
 from ...common.page import Page, Section, Table
+from ...common.picture import Picture, figure_of, finish, new_axes
 from ...common.quantity import grouped
 from ...method.identify.identification import Identification
 from ...method.identify.order_fit import OrderFit
 from ...method.model.units import units_of
 from .description import sensor_line
-from .drawing import CYCLE, MEASURED, Picture, figure_of, finish, own_axes
+from .drawing import CYCLE, MEASURED
 
 
 def bode_page(fits: Identification, name: str) -> str:
@@ -30,7 +30,7 @@ def bode_page(fits: Identification, name: str) -> str:
     return Page(
         f"Order {chosen.order}, {hold}{delay}",
         f"Identification of {name} on {count} recording{'s'[: count != 1]}",
-        [_why(fits), sensor_line(fits.model), *fits.remarks, [_bode(fits), _coherence(fits), _residuals(fits)]],
+        [_why(fits), sensor_line(fits.model), *fits.remarks, [_bode(fits), _residuals(fits)]],
         [
             Section("Orders compared", [Table(header, orders, "By order; bold: chosen.", bold, (0, 1))]),
             Section("Poles of the model", [_poles(chosen)]),
@@ -73,7 +73,7 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
 
 
 def _bode(fits: Identification) -> Picture:
-    axes, r, seen = own_axes(None, 2, (5.0, 5.2)), fits.response, fits.response.coherent
+    axes, r, seen = new_axes(3, 6.6, (2, 2, 1)), fits.response, fits.response.coherent
     units = units_of(fits.model)
     per_unit = units.force_factor / units.si.factor  # the response is in base units
     hz, value, error = r.hz[seen], per_unit * r.value[seen], 2 * per_unit * r.stderr[seen]
@@ -88,11 +88,14 @@ def _bode(fits: Identification) -> Picture:
             _response(
                 axes, grid, per_unit * response_of(fit, grid), "-", color=color, lw=width, label=f"order {fit.order}"
             )
+    axes[2].semilogx(r.hz, r.coherence, ".", ms=3, color=MEASURED)
     unit = f"{units.si.unit}/{grouped(shown_unit(units.force))}"
-    finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)"])
-    return Picture(
-        "bode", figure_of(axes), "Grey: measured, with two standard errors; lines: the models of each order."
+    finish(axes, "frequency (Hz)", [f"output / force ({unit})", "phase (deg)", "coherence"])
+    caption = (
+        "Grey: measured, with two standard errors; lines: the models of each order. Coherence: fraction of the output "
+        "that is linear in the input."
     )
+    return Picture("bode", figure_of(axes), caption)
 
 
 def _response(axes: np.ndarray, hz: np.ndarray, value: np.ndarray, mark: str, **style) -> None:
@@ -113,7 +116,7 @@ def _whiteness(fits: Identification) -> str:
 
 
 def _residuals(fits: Identification) -> Picture:
-    axes, tested = own_axes(None, 2, (5.0, 3.6)), fits.residuals
+    axes, tested = new_axes(2, 3.6), fits.residuals
     rows = ((tested.own, tested.own_band), (tested.drive, tested.drive_band))
     for ax, (correlation, band) in zip(axes, rows, strict=True):
         ax.axhspan(-band, band, color=MEASURED, alpha=0.4, lw=0)
@@ -122,10 +125,3 @@ def _residuals(fits: Identification) -> Picture:
     finish(axes, "lag (s)", ["autocorrelation\nof the residual", "correlation\nwith the force"])
     caption = "Grey band: a white residual stays within it at all lags in 95 % of cases."
     return Picture("residuals", figure_of(axes), caption)
-
-
-def _coherence(fits: Identification) -> Picture:
-    ax: Axes = own_axes(None, 1, (5.0, 2.2))[0]
-    ax.semilogx(fits.response.hz, fits.response.coherence, ".", ms=3, color=MEASURED)
-    finish(np.array([ax]), "frequency (Hz)", ["coherence"])
-    return Picture("coherence", figure_of(ax), "Fraction of the output that is linear in the input (coherence).")

@@ -4,12 +4,13 @@ import numpy as np
 
 from ...common.numbers import figure, shown_unit, with_error
 from ...common.page import Page, Section, Table
+from ...common.picture import Picture, figure_of, finish, new_axes
 from ...common.quantity import Quantity, Units
 from ...common.units import from_base
 from ...files.recordings.remarks import counted
 from ...method.signal.record import Record
 from ..check.check import Check, CheckedRecord
-from .drawing import DRIVE, MEASURED, PREDICTED, Picture, figure_of, finish, own_axes, signals, volts
+from .drawing import DRIVE, MEASURED, PREDICTED, signals, volts
 
 _DRAWN = 24  # records; a page with more is too long to read
 _BEGINS = {"rest": "starts at rest", "held": "starts settled at a held input", "moving": "starts moving"}
@@ -74,7 +75,7 @@ def _coverage(check: Check) -> list[Picture]:
     c = check.coverage
     if c is None:
         return []
-    ax, drive = own_axes(None, 1, (5.0, 2.6))[0], Units(Quantity(c.unit)).input
+    ax, drive = new_axes(1, 2.6)[0], Units(Quantity(c.unit)).input
     for low, high in c.gaps:
         ax.axvspan(low, high, 0.5, 1.0, color="#e69f00", alpha=0.35, lw=0)
     ax.scatter(c.points[:, 0], drive.shown(c.points[:, 1]), s=6, color=PREDICTED, lw=0)

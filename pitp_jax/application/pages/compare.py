@@ -7,10 +7,11 @@ import numpy as np
 
 from ...common.numbers import number, shown_unit
 from ...common.page import Section
+from ...common.picture import Picture
 from ...common.units import from_base
 from ..compare.pairing import Pair
 from ..compare.result import Comparison
-from .drawing import PREDICTED, Picture, beside, some_periods
+from .drawing import PREDICTED, beside, some_periods
 
 _DRAWN = 12  # pairs of recordings
 

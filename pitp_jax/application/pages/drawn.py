@@ -7,8 +7,8 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 
+from ...common.picture import Picture
 from ...files.recordings.writing import write_csv, write_text_atomic
-from .drawing import Picture
 
 FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 

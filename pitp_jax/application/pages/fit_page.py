@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 
 from ...common.numbers import figure, shown_unit
 from ...common.page import Card, Page, Section, Table
+from ...common.picture import Picture, figure_of, finish, new_axes
 from ...common.units import from_base
 from ...method.model.fitted import Fitted
 from ...method.model.memory import FadingMemory, RingingMemory
@@ -24,7 +25,7 @@ from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction, predict
 from .description import fallback_line
-from .drawing import CYCLE, ERROR, MEASURED, PREDICTED, Picture, beside, figure_of, finish, own_axes
+from .drawing import CYCLE, ERROR, MEASURED, PREDICTED, beside
 
 _KNOWN = 0.5  # standard error of ln tau above which a time constant counts as unknown
 _SHOWN = 12  # records drawn, the worst first
@@ -137,7 +138,7 @@ def _run(name: str, error: float, record: Record, run: Prediction) -> Picture:
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Picture:
     """Draw one dot per record by frequency and stroke, coloured by the kind of input, with the error as text."""
-    ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
+    ax: Axes = new_axes(1, 3.0)[0]
     unit, kinds = records[0].displacement_unit, [kind(r) for r in records]
     colors = dict(zip(dict.fromkeys(kinds), CYCLE * len(kinds), strict=False))
     for k, (record, name) in enumerate(zip(records, kinds, strict=True)):
@@ -152,17 +153,17 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Picture:
 
 def _spectra(pairs: Sequence[tuple[Record, Prediction]]) -> Picture:
     """Draw the spectra of output and error, as medians over records of one sampling rate."""
-    ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
+    ax: Axes = new_axes(1, 3.0)[0]
     unit, size = pairs[0][0].displacement_unit, min(4096, *(r.samples for r, _ in pairs))
-    outputs = [r.displacement - np.nanmean(r.displacement) for r, _ in pairs]
-    errors = [p.displacement - r.displacement for r, p in pairs]
-    for color, label, values in ((MEASURED, "measured", outputs), (ERROR, "error of the free runs", errors)):
-        rows = [
-            scipy.signal.welch(from_base(np.nan_to_num(y), unit), 1 / r.dt, nperseg=size)
-            for y, (r, _) in zip(values, pairs, strict=True)
-        ]
-        density = np.sqrt(np.median([row[1][1:] for row in rows], axis=0))
-        ax.loglog(rows[0][0][1:], density, color=color, lw=1.1, label=label)
+
+    def density(values: np.ndarray, dt: float):
+        return scipy.signal.welch(from_base(np.nan_to_num(values), unit), 1 / dt, nperseg=size)
+
+    outputs = [density(r.displacement - np.nanmean(r.displacement), r.dt) for r, _ in pairs]
+    errors = [density(p.displacement - r.displacement, r.dt) for r, p in pairs]
+    for color, label, rows in ((MEASURED, "measured", outputs), (ERROR, "error of the free runs", errors)):
+        root = np.sqrt(np.median([power[1:] for _, power in rows], axis=0))
+        ax.loglog(rows[0][0][1:], root, color=color, lw=1.1, label=label)
     finish(np.array([ax]), "frequency (Hz)", [f"density ({shown_unit(unit)}/√Hz)"])
     caption = (
         "Spectra of the measured output and of the error of the free runs. A flat error spectrum is noise; a peak at "
@@ -173,7 +174,7 @@ def _spectra(pairs: Sequence[tuple[Record, Prediction]]) -> Picture:
 
 def _tokens(model: Fitted) -> Picture:
     """Draw the factor on each nominal coefficient at standstill over the trained displacements."""
-    ax: Axes = own_axes(None, 1, (5.0, 3.0))[0]
+    ax: Axes = new_axes(1, 3.0)[0]
     low, high = model.domain.region[0]
     x = jnp.linspace(low, high, 60)
 

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 
 from ...common.numbers import shown_unit
 from ...common.page import Page, Section, Table
+from ...common.picture import Picture
 from ...common.units import from_base
 from ...files.mjcf.verify import Played, Verification
-from .drawing import ERROR, PREDICTED, Picture, beside, some_periods
+from .drawing import ERROR, PREDICTED, beside, some_periods
 
 _DRAWN = 12  # recordings
 

@@ -4,10 +4,11 @@ import numpy as np
 
 from ...common.numbers import figure
 from ...common.page import Card, Page, Section, Table
+from ...common.picture import Picture
 from ...common.units import column_name
 from ..plan.planning import REACHED, Plan
 from ..plan.strokes import LEAST_DAMPING
-from .drawing import DRIVE, Picture, signals, volts
+from .drawing import DRIVE, signals, volts
 
 
 def page(plan: Plan, model: str = "") -> str:

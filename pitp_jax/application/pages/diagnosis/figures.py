@@ -13,25 +13,14 @@ from matplotlib.patches import Rectangle
 
 from ....common.numbers import figure as digits
 from ....common.numbers import percent, shown_unit
+from ....common.picture import Picture, figure_of, finish, new_axes
 from ....common.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
 from ....method.diagnose.diagnosis import Diagnosis
 from ....method.diagnose.result import Ranked
 from ....method.diagnose.traces import Trace
 from ....method.diagnose.words import worst
 from ....method.model.units import units_of
-from ..drawing import (
-    DRIVE,
-    ERROR,
-    MEASURED,
-    PREDICTED,
-    Picture,
-    beside,
-    figure_of,
-    finish,
-    own_axes,
-    signals,
-    volts,
-)
+from ..drawing import DRIVE, ERROR, MEASURED, PREDICTED, beside, signals, volts
 
 TIED = "#e69f00"
 FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")
@@ -45,15 +34,13 @@ def figures(d: Diagnosis) -> dict[str, Picture]:
 
     A figure that cannot be drawn shows the reason instead, and does not affect the others.
     """
-    makers = [gap]
+    makers = {"gap": gap}
     if d.verdict != "no_gap":
-        makers += [where_map, shares, force, ranking]
+        makers |= {"where": where_map, "shares": shares, "force": force, "ranking": ranking}
     if d.next_experiment is not None:
-        makers.append(excitation)
-    names = {gap: "gap", where_map: "where", shares: "shares", force: "force", ranking: "ranking"}
+        makers["next_experiment"] = excitation
     made = {}
-    for make in makers:
-        name = names.get(make, "next_experiment")
+    for name, make in makers.items():
         try:
             drawn, caption = make(d)
             drawn.draw_without_rendering()  # layout and text fail only here
@@ -99,13 +86,13 @@ def _loudest(e: np.ndarray, width: int) -> int:
 
 def where_map(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the missing force by input frequency and amplitude, one square a visited cell."""
-    ax: Axes = own_axes(None, 1, (5.0, 3.2))[0]
+    ax: Axes = new_axes(1, 3.2)[0]
     cells, (scale, unit) = d.where["cells"], output_unit(d)
-    bands = sorted({tuple(c["band_hz"]) for c in cells})
-    sizes = sorted({tuple(c["amplitude"]) for c in cells})
+    bands = sorted({(*c["band_hz"],) for c in cells})
+    sizes = sorted({(*c["amplitude"],) for c in cells})
     largest = max([c["share"] for c in cells], default=0.0) or 1.0
     for cell in cells:
-        i, j = bands.index(tuple(cell["band_hz"])), sizes.index(tuple(cell["amplitude"]))
+        i, j = bands.index((*cell["band_hz"],)), sizes.index((*cell["amplitude"],))
         ax.add_patch(Rectangle((i, j), 1, 1, color=_HEAT(cell["share"] / largest), lw=0))
         if cell["flagged"]:
             ax.add_patch(Rectangle((i + 0.05, j + 0.06), 0.9, 0.88, fill=False, edgecolor="#1a1a1a", lw=1.4))
@@ -115,20 +102,18 @@ def where_map(d: Diagnosis) -> tuple[Figure, str]:
     ax.set(xlim=(0, max(len(bands), 1)), ylim=(0, max(len(sizes), 1)))
     finish(np.array([ax]), "frequency of the input (Hz)", [f"amplitude ({unit})"])
     ax.grid(visible=False)
-    _edges(ax.set_xticks, bands, 1.0)
-    _edges(ax.set_yticks, sizes, scale)
+    ax.set_xticks(*_edges(bands, 1.0))
+    ax.set_yticks(*_edges(sizes, scale))
     caption = "Fraction of the missing force by frequency and amplitude of the input. Outlined: clearly above average."
     return figure_of(ax), caption
 
 
-def _edges(set_ticks, pairs, scale: float) -> None:
-    """Label the edges of cells on an axis; where cells are missing in between, a label shows both edges."""
-    if pairs:
-        inner = [
-            digits(scale * b[0], 2) if a[1] == b[0] else f"{digits(scale * a[1], 2)}|{digits(scale * b[0], 2)}"
-            for a, b in zip(pairs[:-1], pairs[1:], strict=True)
-        ]
-        set_ticks(range(len(pairs) + 1), [digits(scale * pairs[0][0], 2), *inner, digits(scale * pairs[-1][1], 2)])
+def _edges(pairs: Sequence[tuple[float, float]], scale: float) -> tuple[range, list[str]]:
+    """Return places and labels of the edges of cells; where cells are missing in between, a label shows both edges."""
+    lows, highs = [low for low, _ in pairs], [high for _, high in pairs]
+    edges = zip([*lows[:1], *highs], [*lows, *highs[-1:]], strict=True)
+    texts = ["|".join(dict.fromkeys(digits(scale * v, 2) for v in pair)) for pair in edges]
+    return range(len(texts)), texts
 
 
 def ranking(d: Diagnosis) -> tuple[Figure, str]:
@@ -136,7 +121,7 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
     rows = [("all reported", d.gap)] if len(d.effects) > 1 and d.gap.closed_fraction is not None else []
     best = {r.effect: r for r in reversed(d.ranking) if r.closed_fraction is not None}  # of a name its best form
     rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: _ROWS - len(rows)]
-    ax: Axes = own_axes(None, 1, (5.0, 0.7 + 0.24 * max(len(rows), 2)))[0]
+    ax: Axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))[0]
     for k, (name, r) in enumerate(rows):
         color = TIED if name in d.equivalent else MEASURED
         color = PREDICTED if name in d.effects or r is d.gap else color

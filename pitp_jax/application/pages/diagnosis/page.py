@@ -6,11 +6,11 @@ import numpy as np
 
 from ....common.numbers import figure, interval, of_range, percent
 from ....common.page import Card, Section, Table
+from ....common.picture import Picture
 from ....method.diagnose import rules
 from ....method.diagnose.diagnosis import Diagnosis
 from ....method.diagnose.words import NEXT_CSV, errors, named, numbers_of, summary, worst
 from ....method.model.units import units_of
-from ..drawing import Picture
 from .figures import by_closed_fraction, drive_unit, figures, fraction_closed, output_unit, refitted
 
 _NEAREST = 3  # candidates named on a card
@@ -51,9 +51,10 @@ def _where(d: Diagnosis) -> Card:
 def _which(d: Diagnosis) -> Card:
     if d.verdict == "no_gap":
         return Card("Which", "None", ["No effect reduces the error below the model's own error."])
-    ranked = [r for r in by_closed_fraction(d.ranking) if r.effect not in d.effects][:_NEAREST]
+    scored = [r for r in d.ranking if r.effect not in d.effects and r.closed_fraction is not None]
     nearest = [
-        f"{r.effect}: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range" for r in ranked
+        f"{r.effect}: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range"
+        for r in by_closed_fraction(scored)[:_NEAREST]
     ]
     if d.equivalent:
         nearest.insert(0, f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}.")
