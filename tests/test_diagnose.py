@@ -3,19 +3,22 @@
 import json
 from dataclasses import replace
 from functools import partial
+from typing import Any, cast
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import DT, FEW, TIME, nominal_of, play
+from played import DT, FEW, NOISE, TIME, nominal_of, play
 from scipy.signal import lsim
 from typed import some
 
 import pitp_jax as pitp
+from pitp_jax.application.pages.diagnosis.page import report
 from pitp_jax.method.diagnose import diagnosis, handing_back
+from pitp_jax.method.diagnose.own_error import own_error
 from pitp_jax.method.effects import CATALOGUE, lookup
 from pitp_jax.method.effects.found_term import TERM
-from pitp_jax.method.model.fitted import Fitted
+from pitp_jax.method.model.fitted import Fitted, model_of
 from pitp_jax.method.model.origin import Origin
 
 FEW_BUT_FRICTION = [n for n in FEW if n != "coulomb_friction"]
@@ -69,6 +72,19 @@ def test_an_interrupt_leaves_the_best_so_far(nominal, monkeypatch):
     assert any("the place of the gap failed (RuntimeError: nowhere)" in note for note in found.notes)
     assert any("interrupted" in note for note in found.notes)
     assert json.dumps(found.as_json()) and str(found)
+
+
+@pytest.mark.slow
+def test_the_model_that_is_handed_back_knows_its_own_error(nominal, hardened):
+    """Its error is noise, not that of the linear model before; a later change of its stiffness by 6 % is a gap."""
+    origin = hardened.model.origin
+    assert origin.misfit < 1.5 and origin.level < 1.5 * hardened.gap.after and origin.errors
+    assert origin.stderr == () and origin.covariance.shape == (0, 0)
+    later = play(hardened.model.model.changed(np.array([1.06, 1.0, 1.0])), seed=9)
+    runs = own_error(cast(Any, hardened.model), later)
+    assert runs.ratio(runs.residuals) > 1.2
+    healthy = own_error(cast(Any, hardened.model), play(hardened.model.model, seed=10))
+    assert healthy.ratio(healthy.residuals) < 1.05
 
 
 @pytest.mark.slow
@@ -154,11 +170,31 @@ def test_in_a_refit_the_nominal_is_found_beside_the_effect(nominal):
     np.testing.assert_allclose(found.model.physical_coefficients, nominal.physical_coefficients, rtol=0.02)
 
 
-@pytest.mark.slow
-def test_hum_is_unknown(nominal):
+def test_hum_is_a_steady_tone_and_no_part_of_the_model(nominal, monkeypatch):
+    monkeypatch.setattr(diagnosis, "build_case", None)  # no search
     found = pitp.diagnose(nominal, play(nominal, extra=4e-5))
-    assert found.verdict == "unknown" and found.effects == () and found.handed_back == ()
-    assert found.model.effects == ()
+    assert (found.verdict, found.effects, found.handed_back) == ("explained", ("steady_tone",), ())
+    assert found.model.effects == () and found.gap.after < 0.2 * found.gap.before
+    (part,) = found.parts
+    amplitude, hz = part.parameters["amplitude"], part.parameters["frequency"]
+    assert amplitude["value"] == pytest.approx(4e-5, rel=0.05) and amplitude["unit"] == "m"
+    assert hz["ci95"][0] < 17.3 < hz["ci95"][1] and hz["ci95"][1] - hz["ci95"][0] < 0.05
+    assert found.budget["effects"]["steady_tone"]["share"] > 0.9
+    assert "oscillation" in str(found) and json.dumps(found.as_json())
+    assert report(found)
+
+
+def test_a_healthy_machine_needs_no_search(nominal, monkeypatch):
+    """Also with a trained nominal, whose file holds its error in % of range in place of a misfit."""
+    monkeypatch.setattr(diagnosis, "build_case", None)
+    records = play(nominal, seed=7)
+    spans = [r.span for r in records]
+    noise = 100 * NOISE / float(np.exp(np.mean(np.log(spans))))
+    for origin in (Origin(misfit=1.0), Origin(level=noise), Origin()):
+        found = pitp.diagnose(Fitted(model_of(nominal), origin), records)
+        assert (found.verdict, found.effects, found.handed_back) == ("no_gap", (), ())
+        assert found.gap.closed_fraction is None and sum(found.where["records"].values()) == pytest.approx(1.0)
+        assert json.dumps(found.as_json()) and str(found) and report(found)
 
 
 @pytest.mark.slow
@@ -276,6 +312,13 @@ def test_friction_is_found_beside_a_mass_that_the_nominal_lacks(linear):
     assert found.model.order == 2
 
 
+def test_a_model_that_harms_one_recording_is_not_handed_back(nominal):
+    """Of three recordings two are of a stiffer machine and one of the nominal's: the stiffer model harms the third."""
+    stiffer = nominal.changed(np.array([1.2, 1.0, 1.0]))
+    mixed = [*play(stiffer)[2:4], play(nominal)[4]]
+    assert handing_back.harms_none(nominal, stiffer, mixed[:2]) and not handing_back.harms_none(nominal, stiffer, mixed)
+
+
 def test_a_model_that_runs_away_within_its_voltages_is_not_handed_back(nominal):
     """A spring that softens without end holds under the weak drive and gives way under the widest voltage."""
     softer = replace(nominal, effects=(effect("softening", "polynomial", 0.0, -0.6, 0.0),))
@@ -284,7 +327,9 @@ def test_a_model_that_runs_away_within_its_voltages_is_not_handed_back(nominal):
     held, far = (np.isfinite(pitp.rollout(softer, r.voltage, r.dt, begins="rest")).all() for r in (weak, sine))
     assert held and not far
     assert handing_back.is_bounded(nominal, [weak, sine]) and not handing_back.is_bounded(softer, [weak, sine])
-    assert handing_back.is_bounded(softer, [weak])
+    assert not handing_back.is_bounded(softer, [weak])  # the nominal's own recordings had the wider drive
+    narrow = replace(softer, domain=replace(softer.domain, voltage_range=(0.0, float(weak.voltage.max()))))
+    assert handing_back.is_bounded(narrow, [weak])
 
 
 @pytest.mark.slow

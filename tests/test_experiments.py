@@ -10,8 +10,6 @@ from pathlib import Path
 import pytest
 from exported import COMPILERS
 
-from pitp_jax.method.diagnose import pieces
-
 EXPERIMENTS = Path(__file__).resolve().parents[1] / "experiments"
 SCRIPTS = {
     "fig06_orders": "fig06_orders.png",
@@ -89,7 +87,6 @@ def test_every_other_script_runs_in_smoke(name, monkeypatch, capsys):
         pytest.skip("no C compiler")
     if name in ("mjcf_bank", "mujoco_bank"):
         pytest.importorskip("mujoco")
-    monkeypatch.setattr(pieces, "RUN_STEPS", pieces.RUN_STEPS)  # `long_records` sets it
     if name == "fuzz_files":  # its processes load the main module again
         command = [sys.executable, "-m", f"experiments.{name}", "--smoke"]
         printed = subprocess.run(command, cwd=EXPERIMENTS.parent, capture_output=True, text=True, check=True).stdout

@@ -1,5 +1,6 @@
 """Which name a fitted form gets, and which of several sets as good is taken: hand-made hypotheses, no fits."""
 
+import time
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -205,7 +206,7 @@ def searched(*sets, own=0.0, refit=False):
     search.linears, search.refit, search.own, search.scale = [base], refit, own, SCALE
     search.budget = Budget(0.0)
     simulator, recordings = SimpleNamespace(square=True), {"all": [*range(RECORDS)]}
-    search.case = cast(Any, SimpleNamespace(blocks=1, simulator=simulator, recordings=recordings))
+    search.case = cast(Any, SimpleNamespace(blocks=1, simulator=simulator, series=recordings))
     search.floors = np.full(RECORDS, 1e-9)
     search.every, search.waiting = {frozenset(h.names): h for h in (base, *sets)}, {}
     return search
@@ -220,12 +221,13 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
     )
 
 
-def test_steps_are_kept_for_judging_what_was_fitted():
-    budget = Budget(most=100)
+def test_time_is_kept_for_judging_what_was_fitted(monkeypatch):
+    monkeypatch.setattr(time, "monotonic", lambda: 60.0)
+    budget = Budget(100.0, began=0.0)
     budget.lane_steps = 60
-    with budget.keeping(50):
-        assert budget.spent
-    assert not budget.spent and budget.allows("out of fold") and (budget.most, budget.reserve) == (100, 0.0)
+    with budget.keeping(20):  # at a step a second
+        assert budget.reserve == pytest.approx(20.0, rel=0.01) and budget.allows("a fit")
+    assert budget.reserve == 0.0
 
 
 @pytest.mark.parametrize(("misfit", "numbers"), [(0.0, 3), (0.02, 1)])

@@ -1,7 +1,7 @@
-"""The computing budget of a diagnosis: a number of simulated steps, and wall time if the user limits it.
+"""The wall time of a diagnosis, if the user limits it, and its progress.
 
-Counting makes the answer the same on every computer. If the budget ends early, this is reported with the best answer so
-far.
+Nothing else ends a search, so the answer is the same on every computer. If the time ends it, this is reported with the
+best answer so far.
 """
 
 import time
@@ -11,9 +11,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-SEARCH_STEPS = 400_000_000  # simulated steps of a search: about 30 CPU s at 75 ns
 _RUNS = 36_000  # runs of all records that the deepest searches took
 _EVERY_S = 5.0  # between lines of progress
+_LONG = 60.0  # s left from which the option that limits them is named
 _KNOWN = 0.01  # fraction of the steps after which the time left is printed
 
 
@@ -23,7 +23,6 @@ class Budget:
 
     Attributes:
         seconds: of wall time; infinite: no limit.
-        most: simulated steps of the search.
         reserve: s of these, reserved for the steps after the search.
         lane_steps: samples x steps a sample x simulations so far.
         run_steps: samples x steps a sample of one run of all records.
@@ -34,7 +33,6 @@ class Budget:
     """
 
     seconds: float = np.inf
-    most: float = field(default_factory=lambda: SEARCH_STEPS)
     reserve: float = 0.0
     lane_steps: int = 0
     run_steps: int = 0
@@ -51,11 +49,10 @@ class Budget:
         elapsed, (last, steps) = self.elapsed, self._reported
         if elapsed - last >= _EVERY_S:
             rate = (self.lane_steps - steps) / (elapsed - last)
-            most = min(self.most, _RUNS * self.run_steps or np.inf)
+            most = _RUNS * self.run_steps
             left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
             self._reported = elapsed, self.lane_steps
-            # a hint if the records are so many that the number of steps is the limit
-            hint = " (--seconds sets a limit)" if most == self.most else ""
+            hint = " (--seconds sets a limit)" if left > _LONG and np.isinf(self.seconds) else ""
             # while programs are compiled few steps are simulated, and their rate predicts nothing
             known = self.lane_steps >= _KNOWN * most or np.isfinite(self.seconds)
             self.progress(
@@ -74,15 +71,14 @@ class Budget:
 
     @contextmanager
     def keeping(self, lane_steps: int) -> Iterator[None]:
-        """Reserve time and simulated steps for the work that follows a `with` block."""
+        """Reserve time for the work that follows a `with` block, of so many simulated steps."""
         seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
-        before = self.reserve, self.most
+        before = self.reserve
         self.reserve += seconds if np.isfinite(self.seconds) else 0.0
-        self.most -= lane_steps
         try:
             yield
         finally:
-            self.reserve, self.most = before
+            self.reserve = before
 
     def stop(self, what: str) -> None:
         """Stop all further work, and note the work that was skipped."""
@@ -98,8 +94,8 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Return whether the time or the simulated steps of a search are used up."""
-        return self.stopped or self.lane_steps >= self.most or self.remaining <= self.reserve
+        """Return whether the time of a search is used up."""
+        return self.stopped or self.remaining <= self.reserve
 
     def allows(self, what: str, needed: float = 0.0) -> bool:
         """Return whether more than `needed` seconds of the search remain; otherwise note `what` as not tried."""
@@ -113,6 +109,4 @@ class Budget:
         if not self.skipped:
             return ()
         after = "" if np.isinf(self.seconds) else f" after {self.seconds:.3g} s (--seconds)"
-        if self.lane_steps >= self.most:
-            after = f" after {self.lane_steps:.2g} simulated steps (its limit)"
         return (f"The search stopped{after} and did not try: {', '.join(self.skipped)}",)

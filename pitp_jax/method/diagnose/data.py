@@ -106,14 +106,6 @@ class Case:
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
         return slice(max(first - margin, 0), last + margin)
 
-    @property
-    def recordings(self) -> dict[str, list[int]]:
-        """Return the indices of the pieces of each recording, by the recording's name."""
-        places: dict[str, list[int]] = {}
-        for k, s in enumerate(self.series):
-            places.setdefault(s.record.name, []).append(k)
-        return places
-
     def alone(self, places: Sequence[int]) -> "Case":
         """Return the case with only the records of these indices."""
         series = tuple(self.series[k] for k in places)
@@ -143,26 +135,30 @@ class Case:
         return rows
 
 
-def build_case(model: Model, records: Sequence[Record], whole: Sequence[Record] | None = None) -> Case:
-    """Build the case: thin the records, remove their offsets and directions, and estimate their initial states.
+def build_case(model: Model, records: Sequence[Record]) -> Case:
+    """Build the case (`thin_case`), with what no slot can hold, such as an encoder, subtracted from the measurement."""
+    case = thin_case(model, records)
+    return _beside(case, records) if slots_of(case.model)[1] else case
+
+
+def thin_case(model: Model, records: Sequence[Record]) -> Case:
+    """Thin the records, remove their offsets and directions, and estimate their initial states.
 
     Args:
         model: the nominal.
-        records: recordings, or named pieces of them.
-        whole: the recordings from which pieces were cut.
+        records: whole recordings.
 
     Raises:
         BadInput: a nominal that diverges on a record.
     """
     model = at_rate(model, records[0].dt)
     # a single record has no earlier one
-    known = len(records) > 1 and session_clock(whole or records)
+    known = len(records) > 1 and session_clock(records)
     _, _, begun = begin(model, records, known)
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
             raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
-    # the part of the model that no slot can hold (a trained encoder) is subtracted from the measurement below
-    nominal, foreign = slots_of(model)
+    nominal, _ = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     k = thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
@@ -190,8 +186,7 @@ def build_case(model: Model, records: Sequence[Record], whole: Sequence[Record] 
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     substeps = steps_a_sample(nominal, records[0].dt * k)
     simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps)
-    case = Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
-    return _beside(case, records) if foreign else case
+    return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
@@ -232,12 +227,12 @@ def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
     return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
 
 
-def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record], most: float = THINNED_SAMPLES) -> int:
+def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
     """Return how many samples to average into one: `PERIOD` per period of the fastest mode or input remain."""
     dt = records[0].dt
     forces = [model.input_map.force(r.voltage) for r in records]
     fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
-    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / most
+    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / THINNED_SAMPLES
     k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
     return max(int(k), 1)
 
@@ -248,20 +243,13 @@ def _parts(records: int) -> int:
 
 
 def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
-    """Return, for each fold, the indices of the records left out: at most six groups, or parts of few records.
-
-    With at least four recordings all pieces of one are left out together; with fewer every piece counts as a record.
-    """
+    """Return, for each fold, the indices of the records left out: at most six groups, or parts of few records."""
     if len(series) < FEWEST_FOLDS:
         return tuple((k,) for k in range(len(series)) for _ in range(_parts(len(series))))
-    whole: dict[str, list[int]] = {}
-    for k, s in enumerate(series):
-        whole.setdefault(s.record.name, []).append(k)
-    units = list(whole.values()) if len(whole) >= FEWEST_FOLDS else [[k] for k in range(len(series))]
     # every group then has small and large motions
-    order = np.argsort([max(series[k].span for k in unit) for unit in units], kind="stable")
-    groups = min(len(units), _MOST_FOLDS)
-    return tuple(tuple(k for n in order[g::groups] for k in units[n]) for g in range(groups))
+    order = np.argsort([s.span for s in series], kind="stable")
+    groups = min(len(series), _MOST_FOLDS)
+    return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))
 
 
 def _beside(case: Case, records) -> Case:

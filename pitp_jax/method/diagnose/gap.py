@@ -2,7 +2,7 @@
 
     closed fraction = 1 - sqrt(max(after^2 - floor^2, 0) / (before^2 - floor^2)),   pooled over records
 
-All errors are out of fold. If the search used pieces of long recordings, they are free runs over all recordings.
+All errors are out of fold.
 """
 
 from collections.abc import Sequence
@@ -10,24 +10,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.numbers import figure, of_range
-from ..model.fitted import fitted_of
-from ..model.model import Model
 from ..signal.initial_state import noise_std
-from ..signal.record import Record
-from ..simulate.prediction import predict
 from . import rules
 from .data import Case
-from .evidence import Evidence, evidence
-from .library import model_of
-from .pieces import Piece
+from .evidence import Evidence
 from .search import Hypothesis, Search
 from .shares import energies
-from .traces import Trace, levelled
 from .verdict import Decision
 
 _GAP = 1.1  # times the floor: up to there no gap to close
-_FAR = 10.0  # ranges: the error assigned to a diverged run
 
 
 @dataclass(frozen=True)
@@ -68,27 +59,6 @@ class Errors:
 def out_of_fold(search: Search, handed: Hypothesis) -> Errors:
     """Return the three models' errors on the searched records, each predicted by a fit without that record."""
     return Errors(search.given.evidence, search.base.evidence, handed.evidence, spans(search))
-
-
-def of_free_runs(search: Search, model: Model, records: Sequence[Record], traces: Sequence[Trace]) -> Errors:
-    """Return the three models' errors over all recordings; `traces`: free runs of nominal and returned model."""
-    scale = float(search.case.model.scales.state[0])
-    given, handed = ([_error(getattr(t, which), t) for t in traces] for which in ("nominal", "augmented"))
-    base = given
-    if search.base.evidence is not search.given.evidence:
-        linear, _ = model_of(search.case.nominal, search.base.fit.slots, model, search.scale)
-        base = [_error(levelled(p, r), t) for p, r, t in zip(predict(linear, records), records, traces, strict=True)]
-    ranges = np.array([np.nanmax(t.measured) - np.nanmin(t.measured) for t in traces]) / scale
-    floor = np.full(len(traces), 1e-12)
-    judged = [evidence([e / scale for e in rows], floor) for rows in (given, base, handed)]
-    return Errors(judged[0], judged[1], judged[2], ranges)
-
-
-def _error(run: np.ndarray, trace: Trace) -> np.ndarray:
-    """Return the error of a simulation: nan where nothing was measured, a large value where it diverged."""
-    far = _FAR * (np.nanmax(trace.measured) - np.nanmin(trace.measured))
-    error = np.nan_to_num(run - trace.measured, nan=far, posinf=far, neginf=-far)
-    return np.where(np.isfinite(trace.measured), np.clip(error, -far, far), np.nan)
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
@@ -159,21 +129,6 @@ def floor_percent(spans: np.ndarray, own: float) -> float:
     return 100 * own * float(np.sqrt(np.mean(1 / spans**2))) if own else 0.0
 
 
-def own_misfit(case: Case) -> tuple[float, str]:
-    """Return the nominal model's error beyond noise on its identification records (scaled), and its source in words.
-
-    M^2 = rms^2 - noise_0^2 = (misfit^2 - 1) noise_0^2
-
-    It does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
-    product with the robot's noise would hide any gap.
-    """
-    origin, scale = fitted_of(case.model).origin, float(case.model.scales.state[0])
-    if not np.isfinite(origin.misfit):
-        return 0.0, "the sensor's noise, because the model file holds no error of its own"
-    noise = origin.noise / scale if origin.noise > 0 else _noise(case)
-    return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "its error on the recordings it was identified on"
-
-
 def _noise(case: Case) -> float:
     """Return the sensor's white noise (rms, scaled), the geometric mean over records."""
     scale = float(case.model.scales.state[0])
@@ -198,29 +153,3 @@ def explains_most(outputs: Sequence[np.ndarray], own: float) -> bool:
     """
     deviations = [np.std(y) for y in outputs]
     return own < rules.HALF * float(np.exp(np.mean(np.log(np.maximum(deviations, 1e-300)))))
-
-
-def on_pieces(pieces: Sequence[Piece], records: Sequence[Record], traces: Sequence[Trace]) -> str:
-    """Describe the searched pieces of the recordings, and the errors on all other samples, in a sentence."""
-    searched = {r.name: np.zeros(r.samples, bool) for r in records}
-    for p in pieces:
-        time = next(r.time for r in records if r.name == p.record)
-        searched[p.record] |= (time - time[0] >= p.from_s) & (time - time[0] <= p.to_s)
-    others = [~searched[t.name] for t in traces]
-    before, after = (_over(traces, which, others) for which in ("nominal", "augmented"))
-    part = 100 * sum(map(np.sum, searched.values())) / sum(r.samples for r in records)
-    return (
-        f"The search used {len(pieces)} pieces with {figure(part, 2)} % of the samples. On the other samples the "
-        f"error is {of_range(after)} of range ({of_range(before)} with the nominal model). All other errors are of "
-        "free runs over all recordings"
-    )
-
-
-def _over(traces: Sequence[Trace], which: str, places: Sequence[np.ndarray]) -> float:
-    """Return the free-run error (% of range) of "nominal" or "augmented" at some samples, pooled over recordings."""
-    squares = []
-    for t, here in zip(traces, places, strict=True):
-        e = _error(getattr(t, which), t)[here]
-        if np.isfinite(e).any():
-            squares.append(np.nanmean(e**2) / np.ptp(t.measured[np.isfinite(t.measured)]) ** 2)
-    return 100 * float(np.sqrt(np.mean(squares))) if squares else float("nan")

@@ -1,7 +1,8 @@
 """Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
 
 The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
-nominal model's, and it stays bounded from rest under the largest voltage of the records.
+nominal model's, no recording's error grows by more than HARM, and it stays bounded from rest under the largest voltage
+of the records and of the nominal. It then carries its own errors, so that it can be the nominal of the next diagnosis.
 """
 
 from collections.abc import Sequence
@@ -9,14 +10,19 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..model.expected_error import error_table
+from ..model.fitted import Fitted, fitted_of
 from ..model.model import Model
+from ..signal.initial_state import noise_std
 from ..signal.record import Record
 from ..simulate.prediction import predict
 from ..simulate.voltage_only import rollout
 from . import rules
 from .evidence import probability
 from .library import CORE, FREE, SHIFT, model_of
+from .own_error import residual
 from .search import PARAMETERS, Hypothesis, Search
+from .traces import Trace
 from .verdict import Decision
 
 _DOUBLED = 4  # times at most that the steps a sample of a returned model are doubled
@@ -55,7 +61,7 @@ def hand_back(
         made, added = model_of(search.case.nominal, h.fit.slots, model, search.scale)
         made = replace(made, domain=made.domain.driven_by(records))
         made, after = stable(made, records, before)
-        if after < before and is_bounded(made, records):
+        if after < before and is_bounded(made, records) and harms_none(model, made, records):
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
@@ -90,19 +96,54 @@ def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, 
 
 
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:
-    """Return whether the model stays bounded from rest under every input, scaled up to the largest voltage."""
-    top = max(float(np.abs(r.voltage).max()) for r in records)
+    """Return whether the model stays bounded from rest under every input, scaled up to the model's largest voltage."""
+    own = [abs(v) for v in map(float, made.domain.voltage_range) if np.isfinite(v)]
+    top = max(*own, 0.0, *(float(np.abs(r.voltage).max()) for r in records))
     played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
+def harms_none(nominal: Model, made: Model, records: Sequence[Record]) -> bool:
+    """Return whether no recording has more than HARM times its error with the nominal, and all pooled have no more."""
+    spans = np.array([r.span for r in records])
+    before, after = (package_errors(m, records) / spans for m in (nominal, made))
+    return bool(np.all(after <= rules.HARM * before) and np.sum(after**2) <= np.sum(before**2))
+
+
+def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Record]) -> Fitted:
+    """Return a model with its own misfit, noise, level and errors: those of its free runs over these recordings.
+
+    Standard errors of coefficients that have changed, and other statements on the nominal, are left out.
+    """
+    errors = [residual(t.augmented, t) for t in traces]
+    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    rms = np.sqrt([np.nanmean(e**2) for e in errors])
+    fitted = fitted_of(made)
+    return Fitted(
+        fitted.model,
+        replace(
+            fitted.origin,
+            covariance=np.zeros((0, 0)),
+            stderr=(),
+            misfit=max(float(np.sqrt(np.mean(rms**2))) / noise, 1.0) if noise else float("inf"),
+            noise=noise,
+            level=100 * float(np.sqrt(np.mean((rms / [r.span for r in records]) ** 2))),
+            out_of_fold=None,
+            remarks=(),
+            errors=error_table([t.augmented for t in traces], errors, records[0].dt),
+        ),
+    )
+
+
 def package_error(model: Model, records: Sequence[Record]) -> float:
     """Return the geometric mean over records of the free-run error, offset removed; infinite if a run diverges."""
-    total = []
+    return float(np.exp(np.mean(np.log(package_errors(model, records) + 1e-300))))
+
+
+def package_errors(model: Model, records: Sequence[Record]) -> np.ndarray:
+    """Return the free-run error of every record (rms, offset removed, base unit); infinite if it diverges."""
+    errors = []
     for p, r in zip(predict(model, records), records, strict=True):
-        seen = p.scored & np.isfinite(r.displacement)
-        e = (p.displacement - r.displacement)[seen]
-        if p.diverged or not np.isfinite(e).all():
-            return np.inf
-        total.append(np.log(np.std(e) + 1e-300))
-    return float(np.exp(np.mean(total)))
+        e = (p.displacement - r.displacement)[p.scored & np.isfinite(r.displacement)]
+        errors.append(np.inf if p.diverged or not np.isfinite(e).all() else float(np.std(e)))
+    return np.array(errors)

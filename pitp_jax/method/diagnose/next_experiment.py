@@ -13,7 +13,8 @@ import numpy as np
 
 from ..signal.reduced import centred_means
 from .data import Case
-from .search import Hypothesis, Scale
+from .library import Scale
+from .search import Hypothesis
 from .simulator import Drive
 
 _SIZES = (1.0, 0.7, 0.5, 0.3)

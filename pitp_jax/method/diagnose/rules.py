@@ -7,6 +7,7 @@ Rates come from the studies in docs/decisions/verdict.md, of 27 saved decisions 
 SURE = 0.9  # P required for every claim; 0.8: one more wrong effect of 27, 0.95: one right one lost
 LIKELY = 0.5  # P from which a part of the returned model is called likely: better than not, not a claim
 HANDED = 0.975  # P for a model to be handed back: the 95 % interval of what it closes excludes 0
+HARM = 1.25  # times the nominal's error: what a returned model may leave on a single recording
 FIRST = 0.9  # of the linear model's error: what a first effect must reach
 FURTHER = 0.8  # and each further effect, of the remaining error; 0.9: one more wrong
 HALF = 0.5  # a deeper set with less than this fraction of a set's error: no effect is reported; without: one more wrong
@@ -14,6 +15,8 @@ LISTED = 0.1  # of the energy closed: what an effect of a set must add to be rep
 TWICE = 2.0  # times the error: what the best rival must exceed with few excitations; 1.2: one more wrong
 EXCITATIONS = 4  # few are less distinct ones than this; frozen rule on 18 new machines: 5 right and 2 wrong for 5 and 6
 OWN = 1.2  # times the nominal's own error: no gap up to there; at 1.5 an electrode's lag was read as a delay
+SETTLED = 1.05  # times it: no gap without a search; up to OWN the first step of the search is looked at
+WEAK = 0.95  # of the error: what a first effect must reach for a search between SETTLED and OWN
 USUAL = 1.5  # times it: also no gap where nothing improves the fit; healthy sets of coloured noise have 0.9 to 1.3
 LEFT = 4.0  # times the nominal's own error: above, the verdict is at best partly; planted effects 1.0 to 1.8, a trap 13
 GAIN = 0.02  # a smaller closed fraction of an error counts as none

@@ -13,10 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ..effects.spec import EffectSpec
-from ..model.units import base_units, units_of
 from . import rules
 from .budget import Budget
-from .data import FEWEST_FOLDS, Case, excited_hz
+from .data import FEWEST_FOLDS, Case
 from .evidence import Evidence, evidence, probability
 from .fit import PREVIEW, Fit, Fitter
 from .library import (
@@ -32,13 +31,13 @@ from .library import (
     ROWS,
     SHIFT,
     Form,
-    Scale,
     bounds,
     forms,
     group,
     named,
     slots_of_row,
 )
+from .scale import scale_of
 
 BEAM, DEPTH = 2, 4  # fronts, effects of a set
 _FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
@@ -79,52 +78,14 @@ class Hypothesis:
         """Return the geometric mean over records of the out-of-fold rms error, in scaled units."""
         return self.evidence.rms
 
-    def reaches(self, error: float) -> bool:
-        """Return whether the error is at most OWN times another one, such as the nominal model's own.
+    def reaches(self, error: float, times: float = rules.OWN) -> bool:
+        """Return whether the error is at most `times` another one, such as the nominal model's own.
 
         A record counts at least as the nominal model's own error, so that quiet records do not hide a gap of another.
         With OWN times this error, a single record slightly above the limit would decide alone.
         """
         own = replace(self.evidence, least=self.evidence.least / rules.OWN**2)
-        return own.rms <= rules.OWN * error
-
-
-def scale_of(case: Case, base: Fit) -> Scale:
-    """Return the units of initial guesses: ranges of the measured motion, time constants of the base model."""
-    x = np.concatenate([s.output[s.counts] for s in case.series])
-    moves = [_smooth(s.output) for s in case.series]
-    v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
-    a = np.concatenate(
-        [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
-    )
-    a0, a1, a2 = (base.value(k) for k in CORE)
-    # of the natural period, otherwise of the slowest pole, of the base
-    tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
-    tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
-    drives = case.simulator.drives
-    volts = np.concatenate([d.voltage for d in drives])
-    force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
-    # of the input's integral, the unit of a loop around a speed command
-    area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
-    ages = [d.age for d in drives]
-    longest = max(len(d.voltage) * d.dt for d in drives)
-    band = 2 * np.pi * np.array(excited_hz(case))
-    return Scale(
-        tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
-        reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
-        speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
-        voltage=float(np.abs(volts).max()),
-        slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
-        area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
-        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
-        radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
-    )  # fmt: skip
-
-
-def _smooth(x: np.ndarray) -> np.ndarray:
-    filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
-    # five samples: enough that a difference of a thinned record is not noise
-    return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
+        return own.rms <= times * error
 
 
 class Search:
@@ -448,17 +409,16 @@ class Search:
         Leaving out parts of recordings cannot show whether all recordings come from one machine: parameters fitted to
         two loads at once describe neither, and predict a third load worse than the nominal does.
         """
-        recordings = self.case.recordings
-        if len(recordings) == 1 or (len(recordings) >= FEWEST_FOLDS and self.case.blocks == 1):
+        count = len(self.case.series)
+        if count == 1 or (count >= FEWEST_FOLDS and self.case.blocks == 1):
             return None
-        rows: list[np.ndarray] = [np.zeros(0)] * len(self.case.series)
-        for places in recordings.values():
-            fitter = Fitter(self.case.alone(places), self.budget)
-            fit = self.linear.fit.again(starts=self.linear.fit.starts[places], residuals=[], jacobian=None, cost=np.inf)
+        rows: list[np.ndarray] = []
+        for k in range(count):
+            fitter = Fitter(self.case.alone([k]), self.budget)
+            fit = self.linear.fit.again(starts=self.linear.fit.starts[[k]], residuals=[], jacobian=None, cost=np.inf)
             fitter.fit([fit], _LINEAR_STEPS)
-            ((apart,), _) = fitter.refitted_without([fit], _FOLD_STEPS)
-            for k, row in zip(places, apart, strict=True):
-                rows[k] = row
+            (((apart,),), _) = fitter.refitted_without([fit], _FOLD_STEPS)
+            rows.append(apart)
         return self.weigh(rows)
 
     def fewer_moved(self) -> None:
@@ -488,6 +448,12 @@ class Search:
         return fit.anew(free=tuple(k for k in fit.free if k != name), slots=slots)
 
     # -- the beam ------------------------------------------------------------------------------------------------------
+
+    def begins(self) -> bool:
+        """Return whether a first effect surely takes a twentieth of the error: a weak one is then searched."""
+        self.extend([self.base])
+        first = self.level(1)[:1]
+        return any(probability(h.evidence.bare, self.given.evidence.bare, rules.WEAK) >= rules.SURE for h in first)
 
     def run(self) -> None:
         """Search sets of one, two and more effects, and store the hypotheses in `every`."""
@@ -573,7 +539,7 @@ class Search:
         A draw of n records lacks one of them with (1 - 1/n)^n > 1 - SURE, so what only one shows is never certain.
         """
         least = min(self.every.values(), key=lambda h: h.rms)
-        whole = self.case.blocks == 1 and len(self.case.recordings) >= FEWEST_FOLDS
+        whole = self.case.blocks == 1 and len(self.case.series) >= FEWEST_FOLDS
         if not whole or self.best().names or least.rms > rules.FIRST * self.base.rms:
             return None
         gains = self.base.evidence.bare.per_record - least.evidence.bare.per_record

@@ -70,6 +70,14 @@ def budget(search: Search, decision: Decision, raw: Evidence) -> dict:
     }  # fmt: skip
 
 
+def without_effects(effects: dict[str, dict]) -> dict:
+    """Return the `budget` of errors that only these entries explain; the rest cannot be predicted."""
+    nothing = {"share": 0.0, "ci95": [0.0, 0.0]}
+    rest = 1.0 - sum(row["share"] for row in effects.values())
+    left = {"share": rest, "ci95": [rest, rest]}
+    return dict.fromkeys(("nuisance", "parameters", "unnamed"), nothing) | {"effects": effects, "unexplainable": left}
+
+
 def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
     alone = [search.judged({n}) for n in chosen.names]
     if any(h is None for h in alone):

@@ -21,8 +21,7 @@ from ..signal.excitation_kind import kind, spectrum
 from ..signal.preprocess import preprocess
 from ..signal.record import Record
 from .data import Case
-from .library import CORE, INDEX
-from .search import Scale
+from .library import CORE, INDEX, Scale
 from .steady_tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement

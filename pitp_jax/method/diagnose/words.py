@@ -49,9 +49,23 @@ def verdict_lines(d) -> list[str]:
             f"{figure(tone['hz'])} Hz, for every input. Something disturbs the rig from outside (vibration, electrical "
             "interference, a supply)."
         )
-    unnamed, rest = (percent(d.budget[key]["share"]) for key in ("unnamed", "unexplainable"))
-    energy = f"{unnamed} can be predicted from the input, but no single cause is certain, {rest} cannot be predicted"
-    return [*text, f"energy of the error: {energy}", d.where["summary"], next_step(d)]
+    return [*text, f"energy of the error: {', '.join(_rest(d))}", d.where["summary"], next_step(d)]
+
+
+def _rest(d) -> list[str]:
+    """Return the parts of the error's energy that no reported effect explains."""
+    parts = (
+        ("unnamed", "can be predicted from the input, but no single cause is certain"),
+        ("unexplainable", "is left by the parts above" if further(d) else "cannot be predicted"),
+    )
+    shares = {k: d.budget[k]["share"] for k, _ in parts}
+    return [f"{percent(shares[k])} {text}" for k, text in parts if shares[k] >= 0.005 or k != "unnamed"]
+
+
+def further(d) -> float:
+    """Return the fraction of the remaining error that a further part would remove; 0 if it is small."""
+    left = 1 - d.gap.explainable / d.gap.after if d.handed_back and d.gap.after > 0 else 0.0
+    return left if left > 1 - rules.FIRST else 0.0
 
 
 def result_line(d) -> str:
@@ -61,7 +75,11 @@ def result_line(d) -> str:
         which = "refitted nominal model" if d.handed_back else "nominal model"
         return f"The {which} is handed back: its error, {of_range(g.before)} of range, is its own."
     where = "held-out recordings" if d.heldout else "left-out parts of the recordings"
-    where = "all recordings" if d.pieces is not None else where
+    if d.effects == ("steady_tone",):
+        return (
+            f"The nominal model is handed back: without the tone its error is {of_range(g.after)} of range "
+            f"({of_range(g.before)} with it)."
+        )
     if not d.handed_back:
         return (
             f"The nominal model is handed back: no model reduces its error on {where} ({of_range(g.before)} of range)."
@@ -114,17 +132,22 @@ def next_step(d) -> str:
         return "Next: predict and invert with this model; more recordings would not improve it."
     if d.next_experiment is not None:
         return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
-    if d.effects:
-        return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."
     if d.where.get("tone"):
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
+    if left := further(d):
+        return (
+            "Next: diagnose again with --nominal model_augmented, because a further part would remove "
+            f"{percent(left)} of the remaining error."
+        )
+    if d.effects:
+        return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."
     return f"Next: check {worst(d).name}, which holds most of the gap, then record an input of another kind."
 
 
 def worst(d) -> Trace:
-    """Return the held-out record with the largest error relative to its range; without one, a fitted record."""
-    held = [t for t in d.traces if t.heldout] or list(d.traces)
-    return max(held, key=lambda t: np.nan_to_num(errors(t)[0]))
+    """Return the record that holds most of the gap: by `where`, otherwise the largest error relative to its range."""
+    held, shares = [t for t in d.traces if t.heldout] or list(d.traces), d.where["records"]
+    return max(held, key=lambda t: (shares.get(t.name, 0.0), np.nan_to_num(errors(t)[0])))
 
 
 def errors(trace: Trace) -> tuple[float, float]:

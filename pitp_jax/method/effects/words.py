@@ -13,7 +13,10 @@ from ...common.quantity import Units, per_second
 from ...common.units import OUTPUT_UNITS, base_unit
 from . import CATALOGUE
 
-PLAIN = {"parameter_change": "the model's own coefficients have changed"} | {
+PLAIN = {
+    "parameter_change": "the model's own coefficients have changed",
+    "steady_tone": "every recording contains an oscillation that no input contains (mains, a fan)",
+} | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed, so that a name's first form defines it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here

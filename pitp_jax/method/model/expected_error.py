@@ -81,8 +81,8 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
     """
     origin, x = model.origin, displacement[np.isfinite(displacement)]
     step = origin.lineage[-1].get("step") if origin.lineage else None
-    # a diagnosis or an adaptation changes the error, so the stored one no longer holds
-    if step not in ("identify", "fit") or not origin.errors or len(x) < 2 or not np.ptp(x) > 0:
+    # an adaptation changes the error, so the stored one no longer holds
+    if step not in ("identify", "fit", "diagnose") or not origin.errors or len(x) < 2 or not np.ptp(x) > 0:
         return None
     hz, amplitude, error = np.array(origin.errors).T
     f, s = _limited(np.array(_moves(x, dt)), amplitude.max(), dt).T[..., None]

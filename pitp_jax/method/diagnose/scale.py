@@ -1,0 +1,46 @@
+"""The units of initial guesses: ranges of the measured motion, time constants of the base model."""
+
+import numpy as np
+
+from ..model.units import base_units, units_of
+from .data import Case, excited_hz
+from .fit import Fit
+from .library import CORE, Scale
+
+
+def scale_of(case: Case, base: Fit) -> Scale:
+    """Return the units of initial guesses: ranges of the measured motion, time constants of the base model."""
+    x = np.concatenate([s.output[s.counts] for s in case.series])
+    moves = [_smooth(s.output) for s in case.series]
+    v = np.concatenate([np.gradient(m, d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)])
+    a = np.concatenate(
+        [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
+    )
+    a0, a1, a2 = (base.value(k) for k in CORE)
+    # of the natural period, otherwise of the slowest pole, of the base
+    tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
+    tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
+    drives = case.simulator.drives
+    volts = np.concatenate([d.voltage for d in drives])
+    force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    # of the input's integral, the unit of a loop around a speed command
+    area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
+    ages = [d.age for d in drives]
+    longest = max(len(d.voltage) * d.dt for d in drives)
+    band = 2 * np.pi * np.array(excited_hz(case))
+    return Scale(
+        tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
+        reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
+        speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
+        voltage=float(np.abs(volts).max()),
+        slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
+        area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
+        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
+        radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
+    )  # fmt: skip
+
+
+def _smooth(x: np.ndarray) -> np.ndarray:
+    filled = np.interp(np.arange(len(x)), np.flatnonzero(np.isfinite(x)), x[np.isfinite(x)])
+    # five samples: enough that a difference of a thinned record is not noise
+    return np.convolve(np.pad(filled, 2, mode="edge"), np.ones(5) / 5, "valid")
