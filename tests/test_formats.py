@@ -21,6 +21,7 @@ from record_files import (
 )
 
 from pitp_jax import BadInput, read
+from pitp_jax.files.containers.formats import READERS, SUFFIXES
 
 
 @pytest.mark.parametrize("name", SAVERS)
@@ -152,3 +153,41 @@ def test_truncated_binary_files_are_refused(tmp_path, name):
     for share in (0.1, 0.5, 0.9):
         (tmp_path / name).write_bytes(data[: int(share * len(data))])
         assert name in refused(tmp_path / name)
+
+
+def test_a_trace_of_a_plc_is_read_by_its_variables(tmp_path):
+    head = "[key]; [value]\nName; Trace\n0.Variable; PLC_PRG.rGoal\n1.Variable; PLC_PRG.rSpeed\n"
+    blocks = (
+        f"{k}.Data" + "".join(f"; {20 * i}; {v:.6f}\n" for i, v in enumerate(values))
+        for k, values in enumerate((VOLTAGE, OUTPUT))
+    )
+    (tmp_path / "a.csv").write_text(head + "".join(blocks))
+    columns = {"input_column": "PLC_PRG.rGoal", "output_column": "PLC_PRG.rSpeed", "output_unit": "rpm"}
+    (record,) = read(tmp_path / "a.csv", **columns, input_unit="percent", time_unit="ms")
+    assert record.dt == pytest.approx(0.02)
+    np.testing.assert_allclose(record.voltage, VOLTAGE / 100, rtol=1e-12)
+    assert "--time-unit" in refused(tmp_path / "a.csv", **columns, input_unit="percent")
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "policy.pth", "run.pkl", "old.xls"])
+def test_files_that_are_not_read_are_named_with_what_to_save(tmp_path, name):
+    (tmp_path / name).write_bytes(b"PK\x03\x04")
+    for path in (tmp_path, tmp_path / name):
+        assert "CSV" in refused(path)
+
+
+def test_a_data_set_of_simulink_is_named(tmp_path):
+    with h5py.File(tmp_path / "a.mat", "w") as file:
+        file["tout"] = TIME
+        file["logsout"] = np.zeros((1, 6), np.uint32)
+        file["logsout"].attrs["MATLAB_class"] = np.bytes_("Simulink.SimulationData.Dataset")
+    message = refused(tmp_path / "a.mat")
+    assert "Simulink data set (logsout)" in message and "d{1}.Values.Data" in message
+
+
+def test_every_reader_states_what_it_reads():
+    names = {suffix for reader in READERS for suffix in reader.suffixes}
+    assert names == set(SUFFIXES) and {".csv", ".csv.gz", ".mat", ".mcap", ".xlsx"} <= names
+    for reader in READERS:
+        assert reader.kind.startswith(("a ", "an ")) and reader.remedy and callable(reader.tables)
+        assert isinstance(reader.sniff(b"\0" * 16), bool)

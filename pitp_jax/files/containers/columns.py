@@ -12,14 +12,13 @@ import numpy as np
 from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, to_base
 from .choice import Choice, choose_columns, clock_question, listed
-from .formats import Parts
 from .held import hold_sparse, mean_of_held
 from .join import joined_parts
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused
 from .structure import keys_in_turn, refreshed, sign_bit, signed
-from .table import Column, Table
+from .table import Column, Parts, Table
 
 _MOST_PARTS = 1000
 _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds

@@ -15,11 +15,11 @@ import numpy as np
 from ...common.errors import BadInput, cleaned
 from ...common.units import column_names, to_base
 from .choice import choose_columns
-from .formats import Parts, open_parts, split_suffix
+from .formats import open_parts, split_suffix
+from .formats.text import single_column
 from .header import NoTable
 from .options import ReadOptions
-from .table import Column, Table, sample
-from .text import single_column
+from .table import Column, Parts, Table, sample
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:

@@ -68,6 +68,9 @@ class Table:
         return cleaned(self.path)
 
 
+Parts = list[list[Table]]  # of a file: every part, and every table that it may be
+
+
 def sample(index: int) -> str:
     """Describe a sample of a file without lines, for messages."""
     return f"sample {index}"

@@ -22,11 +22,10 @@ from ...method.signal.checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, 
 from ...method.signal.record import Record, Timed, own_column, range_in
 from ...method.signal.sets import check_set
 from ..containers.columns import Loaded, load_columns
-from ..containers.formats import SUFFIXES, split_suffix, unread
+from ..containers.formats import SUFFIXES, is_bag, split_suffix, unread
 from ..containers.options import FOLDER_FILE as FOLDER_FILE
 from ..containers.options import OPTIONS, ReadOptions, joined_in
 from ..containers.refusal import Refused, together
-from ..containers.robot import is_bag
 from .grid import Gridded, on_grid
 from .outliers import Masked, mask_faults
 from .plausible import questions, refuse_implausible
@@ -292,7 +291,7 @@ def files_of(paths: Sequence[str | os.PathLike]) -> list[Path]:
             here = f" Here lies {cleaned(other)}: {unread(other)}." if other else ""
             raise BadInput(
                 f"{cleaned(path)}: no recording files in this folder (subfolders are not searched); give the folder "
-                f"that holds the files ({', '.join(SUFFIXES[5:])}).{here}"
+                f"that holds the files ({', '.join(s for s in SUFFIXES if not s.endswith('.gz'))}).{here}"
             )
         files.extend(inside)
     return files

@@ -1,25 +1,24 @@
-"""Read logs of robots and data frames as columns: rosbag2 folders, MCAP and Parquet files (extra `robot`).
+"""Read logs of robots as columns: rosbag2 folders and MCAP files (extra `robot`).
 
 message of a topic -> /topic.field[i], in SI    rows: the messages of the output's topic
 u(t) = the last value sent at or before t        (a command holds until the next one)
 """
 
 import re
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields, is_dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import fields, is_dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ...common.errors import BadInput, cleaned
-from .guard import check_columns, check_count, check_unfolded, file_bytes
-from .options import ReadOptions
-from .table import Column, Table, array_table, sample
+from ....common.errors import cleaned
+from ..guard import check_columns, check_unfolded
+from ..options import ReadOptions
+from ..table import Column, Parts, Table, sample
 
-if TYPE_CHECKING:
-    import pandas as pd
-
+kind, remedy = "a robot log", "record it again"
+suffixes = (".mcap",)
 _OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own, not signals of a machine
 _LONGEST = 256  # entries of an array that become columns; images and scans are longer
 _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messages
@@ -30,68 +29,12 @@ _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messag
 )  # fmt: skip
 
 
-def is_bag(path: Path) -> bool:
-    """Return whether a folder is a rosbag2 recording."""
-    return path.is_dir() and (path / "metadata.yaml").is_file()
+def sniff(first: bytes) -> bool:
+    """Return True: a folder has no first bytes, and the library refuses other files."""
+    return True
 
 
-def parquet(path: Path, options: ReadOptions) -> list[list[Table]]:
-    """Return the columns of a Parquet file: dates in seconds, lists as `name[1]`, ..., units from the metadata."""
-    if not file_bytes(path, 4).startswith(b"PAR1"):
-        raise BadInput(f"{cleaned(path)}: is not a Parquet file although its suffix says so; write it again")
-    import pandas as pd  # imported here, because `pitp info` reads no table
-    import pyarrow.parquet
-
-    with pyarrow.parquet.ParquetFile(path) as file:
-        schema, about = file.schema_arrow, file.metadata
-    check_count(about.num_rows, cleaned(path))
-    # the footer states the decompressed size of the columns
-    unfolded = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
-    check_unfolded(unfolded, path.stat().st_size, cleaned(path))
-
-    def column(name: str):
-        return pd.Series(pd.read_parquet(path, columns=[name])[name])
-
-    beside = {f.name: (f.metadata or {}).get(b"unit") for f in schema}
-    beside |= {f.name: b"s" for f in schema if str(f.type).startswith(("timestamp", "duration"))}
-    stored, origin = {}, []
-    for field in schema:
-        count = _entries(field, column)
-        for k in range(max(count, 1)):
-            name = f"{field.name}[{k + 1}]" if count else field.name
-            entry = k if count else None
-            stored[name] = lambda of=field.name, entry=entry: _plain(column(of), entry)
-            beside[name] = beside[field.name]
-            origin.append(field.name)
-    table = array_table(path, stored, "Parquet file", beside=beside)
-    return [[replace(table, texts=lambda k: column(origin[k]).astype(str).to_numpy())]]
-
-
-def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
-    """Return how many numbers each cell of a list column holds; 0 if it holds none or too many."""
-    from pyarrow import types
-
-    listed = types.is_list(field.type) or types.is_large_list(field.type) or types.is_fixed_size_list(field.type)
-    if not listed or not (types.is_integer(field.type.value_type) or types.is_floating(field.type.value_type)):
-        return 0
-    count = max((len(row) for row in column(field.name) if row is not None), default=0)
-    return count if count <= _LONGEST else 0
-
-
-def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:
-    """Return the numbers of a column, or of one list entry; nan where empty, dates and time spans in seconds."""
-    import pandas as pd
-
-    if entry is not None:
-        return np.array([np.nan if row is None or len(row) <= entry else row[entry] for row in column], np.float64)
-    if column.dtype.kind in "mM":
-        unzoned = column.dt.tz_convert(None) if getattr(column.dt, "tz", None) else column
-        begin = pd.Timestamp(0) if column.dtype.kind == "M" else pd.Timedelta(0)
-        return ((unzoned - begin) / pd.Timedelta(1, "s")).to_numpy()
-    return column.to_numpy(np.float64, na_value=np.nan) if pd.api.types.is_numeric_dtype(column) else column.to_numpy()
-
-
-def bag(path: Path, options: ReadOptions) -> list[list[Table]]:
+def tables(path: Path, options: ReadOptions) -> Parts:
     """Return a rosbag2 folder or MCAP file as a table: a clock, and a column for every number of every topic."""
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

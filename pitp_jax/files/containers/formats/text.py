@@ -17,17 +17,19 @@ from pathlib import Path
 
 import numpy as np
 
-from ...common.errors import BadInput, cleaned
-from ...common.units import spelt
-from .guard import check_count, file_bytes, gunzip
-from .header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
-from .names import read_header
-from .options import ReadOptions
-from .refusal import Refused
+from ....common.errors import BadInput, cleaned
+from ....common.units import spelt
+from ..guard import check_count, file_bytes, gunzip
+from ..header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
+from ..names import read_header
+from ..options import ReadOptions
+from ..refusal import Refused
+from ..stamps import is_stamp, seconds
+from ..table import Column, Parts, Table
 from .signatures import SIGNATURES
-from .stamps import is_stamp, seconds
-from .table import Column, Table
 
+kind, remedy = "a text", "save it as CSV"
+suffixes = tuple(f"{name}{end}" for end in (".gz", "") for name in (".csv", ".txt", ".dat", ".tsv", ".lvm"))
 COMMENTS = ("#", "%", "//", "!")
 _ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
 _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
@@ -48,16 +50,21 @@ _DATE = re.compile(rb"(?<![\d.])\d{1,4}([-./])\d{1,2}\1\d{2,4}(?![\d.])")
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
 
 
-def text_tables(path: Path, options: ReadOptions) -> list[Table]:
+def sniff(first: bytes) -> bool:
+    """Return True: any bytes may be a text, until it is read."""
+    return True
+
+
+def tables(path: Path, options: ReadOptions) -> Parts:
     """Return every table that a text file may hold, the likeliest first.
 
     Raises:
         BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
     """
     source = cleaned(path)
-    data = _text(path, source)
+    data = plain_text(path, source)
     spans = _first_lines(data, source)
-    tables, refusals = [], []
+    found, refusals = [], []
     for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options, source):
         lines = [data[a:b].decode(encoding) for a, b, _ in spans]
         try:
@@ -65,19 +72,19 @@ def text_tables(path: Path, options: ReadOptions) -> list[Table]:
                 body = _rows_only(data[spans[layout.first][0] :], layout)
                 if options.decimal is None:
                     layout = _with_decimal(body, layout, source)
-                tables.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
+                found.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
         except BadInput as error:
             refusals.append(error)
-    if not tables:
+    if not found:
         raise refusals[0]
-    return tables
+    return [found]
 
 
 def single_column(path: Path) -> Table | None:
     """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
     source = cleaned(path)
     try:
-        lines = [line.strip().strip('"') for line in _text(path, source).decode("utf-8").split("\n")]
+        lines = [line.strip().strip('"') for line in plain_text(path, source).decode("utf-8").split("\n")]
     except (BadInput, UnicodeError):
         return None
     numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
@@ -141,7 +148,7 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
 
 
-def _text(path: Path, source: str) -> bytes:
+def plain_text(path: Path, source: str) -> bytes:
     """Read a text file: decompressed, with plain line ends, UTF-16 converted to UTF-8."""
     data, wide = file_bytes(path), None
     # by its first bytes, because downloads lose or gain suffixes
@@ -375,7 +382,7 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
 
 def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
     """Return the line number of a sample, counted from 1; the file is read again for it."""
-    lines = enumerate(_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
+    lines = enumerate(plain_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
     filled = (number for number, line in lines if _is_row(line, separator))
     return next(islice(filled, sample, None), above + 1 + sample)
 

@@ -7,9 +7,9 @@ TwinCAT Scope           keys in every second cell, a clock beside every channel
 import re
 from collections.abc import Callable, Sequence
 
-from ...common.errors import BadInput, cleaned
-from .header import Layout, trimmed
-from .table import Column
+from ....common.errors import BadInput, cleaned
+from ..header import Layout, trimmed
+from ..table import Column
 
 _LABVIEW, _END = "labview measurement", "***end_of_header***"
 _NUMBER = re.compile(r"[\d.,-]+")

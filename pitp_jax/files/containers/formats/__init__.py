@@ -1,0 +1,73 @@
+"""The readers of files: one file a container, found by listing this folder.
+
+A reader is a file with
+
+    suffixes: tuple of str        of its files, in lower case
+    kind, remedy: str             for the refusal of a file that is not what its suffix says
+    sniff(first) -> bool          whether the first bytes can be those of such a file
+    tables(path, options)         every part of the file (sheet, group), and every table that it may be
+
+Of the readers of one suffix, the first with the fewest suffixes that accepts the first bytes opens the file.
+"""
+
+import pkgutil
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ....common.errors import BadInput, cleaned
+from ..guard import file_bytes, guarded
+from ..options import ReadOptions
+from ..table import Parts
+
+_FIRST = 1 << 10  # bytes that a reader is shown
+_FILES = [import_module(f".{found.name}", __name__) for found in pkgutil.iter_modules(__path__)]
+READERS: tuple[Any, ...] = tuple(sorted((m for m in _FILES if hasattr(m, "suffixes")), key=lambda m: len(m.suffixes)))
+SUFFIXES = tuple(dict.fromkeys(suffix for reader in reversed(READERS) for suffix in reader.suffixes))
+_UNREAD = {  # suffix: what it is, and what to save instead
+    (".pt", ".pth", ".ckpt"): "a file of torch.save, which may run code when it is opened; save its arrays with "
+    "numpy.savez (.npz) or as CSV",
+    (".pkl", ".pickle", ".joblib", ".npy"): "a file of Python or of one array; save named arrays with numpy.savez "
+    "(.npz) or as CSV",
+    (".xls", ".ods", ".numbers"): "a spreadsheet of another kind; save it as .xlsx or CSV",
+    (".mf4", ".mdf", ".dxd", ".bag", ".db3", ".slx", ".m"): "not read; export its signals as CSV, MAT or MCAP",
+}
+
+
+def unread(name: str) -> str:
+    """Return what a file is that is not read, by its suffix, and what to save instead."""
+    said = next((text for ends, text in _UNREAD.items() if name.lower().endswith(ends)), None)
+    return said or "not a recording file; convert or rename it"
+
+
+def is_bag(path: Path) -> bool:
+    """Return whether a folder is a rosbag2 recording."""
+    return path.is_dir() and (path / "metadata.yaml").is_file()
+
+
+def split_suffix(name: str) -> tuple[str, str]:
+    """Split a file name into stem and suffix; the suffix is empty if it is not one of a recording file.
+
+    Capital suffixes (`.CSV`, `.MAT`) count too.
+    """
+    for suffix in sorted(SUFFIXES, key=len, reverse=True):
+        if name.lower().endswith(suffix) and len(name) > len(suffix):
+            return name[: -len(suffix)], name[-len(suffix) :]
+    return name, ""
+
+
+def open_parts(path: Path, options: ReadOptions) -> Parts:
+    """Open every part of a file as the tables that it may be; errors of file libraries become BadInput.
+
+    Raises:
+        BadInput: unknown suffix, or the file is not what its suffix says.
+    """
+    source, suffix = cleaned(path), ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
+    if not suffix:
+        raise BadInput(f"{source}: {unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
+    readers = [reader for reader in READERS if suffix in reader.suffixes]
+    first = [file_bytes(file, _FIRST) for file in (path.iterdir() if path.is_dir() else [path])][0]
+    reader = next((reader for reader in readers if reader.sniff(first)), None)
+    if reader is None:
+        raise BadInput(f"{source}: is not {readers[0].kind} as its suffix says; {readers[0].remedy}")
+    return guarded(source, reader.kind.partition(" ")[2], reader.tables, path, options)
