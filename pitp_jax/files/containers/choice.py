@@ -30,6 +30,7 @@ _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are certainly not seconds
 _EPOCH = 1e9, 4e9  # s since 1970: the years 2001 to 2096
+_MOST_LOADED = 16  # columns whose values a proposal looks at
 _RISING = 0.9  # fraction of the steps of a clock
 _MONITOR = 10.0  # V: the range of a DAQ
 
@@ -467,17 +468,18 @@ def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, row
         return next(s for s in seen if s.place == choice.place)
     role, wrong = ("input", "output") if quantity == "voltage" else ("output", "input")
 
-    def unlikely(s: _Seen) -> tuple[bool, ...]:
-        values = _values(table, s.place)
-        commanded = role == "input" and s.header.commanded
-        moves = values.size > 0 and bool(np.ptp(values) > 0)
-        return not values.size, 0 < rows != values.size, s.role == wrong, not moves, not commanded, s.role != role
-
     if not pool:
         pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & _COUNTERS]
     free = [s for s in pool if s.place not in taken]
-    first = min(free, key=unlikely, default=None)
-    return first if first is not None and _values(table, first.place).size else None
+    free.sort(key=lambda s: (s.role == wrong, not (role == "input" and s.header.commanded), s.role != role))
+    values = {s.place: _values(table, s.place) for s in free[:_MOST_LOADED]}
+
+    def unlikely(s: _Seen) -> tuple[bool, ...]:
+        size, moves = values[s.place].size, values[s.place].size > 0 and bool(np.ptp(values[s.place]) > 0)
+        return not size, 0 < rows != size, s.role == wrong, not moves
+
+    first = min(free[:_MOST_LOADED], key=unlikely, default=None)
+    return first if first is not None and values[first.place].size else None
 
 
 def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, monitors: bool) -> list[str]:

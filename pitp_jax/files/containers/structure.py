@@ -13,6 +13,7 @@ from ...common.errors import BadInput, cleaned
 from .table import Table
 
 _MOST_KEYS, _TURNS = 64, 8  # joints of a log; rows of each, at least
+_TRIED = 64  # columns that may name the joint
 _IN_ORDER = 0.9  # fraction of rows after which the same key follows
 _SMOOTHER = 2.0  # times smoother is a signal within its key than from row to row
 _BITS = (7, 9, 10, 11, 15, 31)  # of a register, that may be its sign
@@ -30,18 +31,19 @@ def keys_in_turn(table: Table, chosen: Sequence[int], time: np.ndarray, signals:
         time: of the rows, s, shape (T,).
         signals: input and output, shape (T,) each.
     """
-    for place, column in enumerate(table.columns):
-        if not column.name or place in chosen:
-            continue
+    if any(len(s) != len(time) for s in signals) or not (_repeats(time) or any(map(_strides, signals))):
+        return None
+    named = [place for place, column in enumerate(table.columns) if column.name and place not in chosen]
+    for place in named[:_TRIED]:
         keys = _keys(table, place)
-        if keys is None or len(keys) != len(time) or any(len(s) != len(time) for s in signals):
+        if keys is None or len(keys) != len(time):
             continue
         values, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
         if not 2 <= len(values) <= _MOST_KEYS or counts.min() < _TURNS or not _in_order(index):
             continue
         within = np.concatenate([np.flatnonzero(index == k) for k in range(len(values))])
         if _repeats(time) and not _repeats(time[index == 0]) or any(_apart(s, within) for s in signals):
-            return column.name, list(dict.fromkeys(cleaned(k) for k in keys.tolist()))
+            return table.columns[place].name, list(dict.fromkeys(cleaned(k) for k in keys.tolist()))
     return None
 
 
@@ -73,10 +75,24 @@ def _repeats(time: np.ndarray) -> bool:
     return len(time) > 1 and float(np.mean(np.diff(time) == 0)) >= 1 / 3
 
 
+def _strides(values: np.ndarray) -> bool:
+    """Return whether a signal is much smoother over some stride of rows than from row to row."""
+    values = values[: _TURNS * _MOST_KEYS * 8]
+    strides = range(2, min(_MOST_KEYS, len(values) // _TURNS) + 1)
+    rows = _step(values[1:], values[:-1])
+    return any(_SMOOTHER * _step(values[k:], values[:-k]) < rows for k in strides)
+
+
 def _apart(values: np.ndarray, within: np.ndarray) -> bool:
     """Return whether a signal is much smoother in this order of its rows than from row to row."""
-    rows, keyed = (float(np.nanmean(np.abs(np.diff(v)))) for v in (values, values[within]))
-    return bool(rows > _SMOOTHER * keyed)
+    keyed = values[within]
+    return _step(values[1:], values[:-1]) > _SMOOTHER * _step(keyed[1:], keyed[:-1])
+
+
+def _step(after: np.ndarray, before: np.ndarray) -> float:
+    """Return the mean size of the steps between two arrays, of the finite ones; 0 without any."""
+    finite = np.isfinite(after) & np.isfinite(before)
+    return float(np.abs(after[finite] - before[finite]).mean()) if finite.any() else 0.0
 
 
 def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:

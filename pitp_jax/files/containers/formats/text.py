@@ -39,7 +39,7 @@ _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
 _NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
 # a cell that is a list of numbers
-_LIST = re.compile(rb'(?<![^\s,;|"])"?\[\s*([-+\d.][-+\d.eE,\s]*?)\s*\]"?(?![^\s,;|])')
+_LIST = re.compile(rb'(?<![^\s,;|"])"?\[(\s*+[-+\d.][-+\d.eE,\s]{0,65536}+)\]"?(?![^\s,;|])')
 _ITEMS = re.compile(rb"[^\s,]+")
 _ARROW = re.compile(rb"\d\d:\d\d:\d\d\.\d+ -> ")
 _BROKEN = 50  # lines searched for names with line breaks in quotes
