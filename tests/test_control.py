@@ -8,11 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from effect_numbers import NUMBERS
 from exported import COMPILERS, Exported
+from scipy.linalg import expm
 
 import pitp_jax as pitp
 from pitp_jax import BadInput
-from pitp_jax.method.effects import effect
+from pitp_jax.method.effects import effect, lookup
 from pitp_jax.method.invert.loop import margins, responding
 from pitp_jax.method.model.domain import Domain
 from pitp_jax.method.model.input_map import SquareInput
@@ -188,8 +190,7 @@ def test_a_start_takes_over_the_voltage_that_stands(rig):
     y0 = STROKE * (1200 / TOP) ** 2
     target = np.tile([STROKE * (2000 / TOP) ** 2, 0.0, 0.0], (3, 1))
     u, flags = rig.command(2, target, measured=np.full(3, y0), y0=y0, u0=1200.0)
-    one = pitp.pi_gains(actuator()).i * (target[0, 0] - y0) * DT  # what the integral adds in one sample
-    assert u[0] ** 2 == pytest.approx(1200**2 + one, rel=1e-9) and not flags.any()
+    assert u[0] == pytest.approx(1200, rel=1e-4) and (np.diff(u) > 0).all() and not flags.any()
 
 
 @pytest.mark.slow
@@ -367,3 +368,90 @@ def test_dry_friction_does_not_enter_the_loop():
     """A machine that is held still has no response; the gains are those of the sliding one."""
     plain = actuator()
     assert pitp.pi_gains(replace(plain, effects=(effect("coulomb_friction", level=0.01),))) == pitp.pi_gains(plain)
+
+
+# ------------------------------------------------------------------------------------------------ its own plant
+
+
+def held_plant(model, weaker=1.0, slew=np.inf, late=0):
+    """fn(k, u) -> displacement one sample on: the equation under held voltages, delayed and slowed, exactly."""
+    a, n = model.physical_coefficients, model.order
+    exact = np.zeros((n + 1, n + 1))
+    exact[: n - 1, 1:n] = np.eye(n - 1)
+    exact[n - 1, :n], exact[n - 1, n] = -a[:-1] / a[-1], 1 / a[-1]
+    parts = 16 if np.isfinite(slew) else 1  # the amplifier moves within a sample
+    exact = expm(exact * DT / parts)
+    state, line, volts = np.zeros(n + 1), [0.0] * (late + 1), [0.0]
+
+    def plant(k, u):
+        line.append(u)
+        for _ in range(parts):
+            volts[0] += np.clip(line[-1 - late] - volts[0], -slew * DT / parts, slew * DT / parts)
+            state[n] = weaker * volts[0] ** 2
+            state[:] = exact @ state
+        return state[0]
+
+    return plant
+
+
+GRID = [(n, late, noise, slew) for n in (1, 2, 3) for late in range(5) for noise in (1e-4, 5e-3) for slew in (0, 1)]
+QUICK = [(2, 3, 5e-3, 1), (1, 4, 1e-4, 0)]
+
+
+@pytest.mark.parametrize(
+    "case", [pytest.param(c, marks=() if c in QUICK else pytest.mark.slow, id="-".join(map(str, c))) for c in GRID]
+)
+def test_on_the_plant_it_was_made_for_the_loop_is_never_worse_than_none(tmp_path, case):
+    """Orders, delays of whole samples, sensor noise (of the stroke), and a slew limit that the target just meets."""
+    order, late, noise, limits = case
+    model = order_of(order)
+    slew = 4e4
+    parts = [effect("slew_limit", inverse=1 / slew)] * limits + [effect("delay", time=late * DT)] * bool(late)
+    domain = replace(model.domain, noise=noise * STROKE)
+    model = replace(model, hold="zoh", effects=tuple(parts), domain=domain)
+    made, drawn = export(model, tmp_path), np.random.default_rng(3)
+    count = 4000
+    rows = [0.6 * STROKE * np.sin(np.pi * 3.0 * np.arange(count + 20) * DT) ** 4]
+    for _ in range(order):
+        rows.append(np.gradient(rows[-1], DT))
+    target = np.stack(rows, 1)
+    ahead, wanted = target[late : late + count], target[:count, 0]
+
+    def errors(weaker):
+        found = []
+        for open_loop in (True, False):
+            plant = held_plant(model, weaker, slew if limits else np.inf, late)
+            told = noise * STROKE * drawn.standard_normal(count)
+            if open_loop:
+                u = made.command(0, ahead)[0]
+                y = np.array([plant(k, v) for k, v in enumerate(u)])
+            else:
+                y, u, _ = made.loop(plant, ahead, seen=lambda k, y, told=told: y + told[k])
+                y = np.append(y[1:], plant(count, u[-1]))
+            found.append(100 * np.sqrt(np.mean((y[count // 2 :] - wanted[count // 2 :]) ** 2)) / STROKE)
+        return found
+
+    without, with_loop = errors(1.0)
+    # at the slew limit the decoder's samples are not the amplifier's ramp: the expectation is 1e-3 of the stroke off
+    assert with_loop <= (1.02 if limits else 1.001) * without + 1e-3
+    without, with_loop = errors(0.85)
+    assert with_loop < 0.9 * without
+
+
+def order_of(order):
+    """1 mm at 3000 V: a lag of 50 ms, the resonance, or the resonance behind a lag."""
+    if order > 1:
+        return actuator(order, zeta=0.3)
+    stiffness = TOP**2 / STROKE
+    known = Domain(dt=DT, voltage_range=(0.0, TOP), slew=1e6)
+    return linear_model([stiffness, 0.05 * stiffness], input_map=SquareInput(), domain=known, force_scale=TOP**2)
+
+
+@pytest.mark.parametrize("precision", ["double", "single"])
+@pytest.mark.parametrize("part", [pytest.param(k, marks=() if "plays of" in k else pytest.mark.slow) for k in NUMBERS])
+def test_the_self_test_of_a_correct_export_passes_whatever_its_parts(tmp_path, part, precision):
+    name, form = part.split(": ", 1)
+    model = replace(actuator(zeta=0.3), effects=(lookup(name, form)(*NUMBERS[part]),))
+    pitp.export_c(model, tmp_path / "c", precision=precision, time_constant=np.inf)
+    said = subprocess.run(["make"], cwd=tmp_path / "c", capture_output=True, text=True)
+    assert said.returncode == 0, said.stdout + said.stderr[-300:]

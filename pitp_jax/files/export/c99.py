@@ -129,7 +129,8 @@ def substitutions(plan: Plan) -> dict[str, str]:
         "dt_number": plan.dt, "low": low, "high": high, "slew": slew, "bottom": bottom, "top": top, "ahead": plan.late,
         "rest": float(units.si.shown(model.output.offset)), "zero": 0.0, "p": per * plan.gains.p,
         "i": per * plan.gains.i,
-        "track": 1 / plan.gains.time_constant,
+        "track": 1 / plan.gains.time_constant, "smooth": plan.gains.smoothing,
+        "dead": float(units.si.shown(plan.gains.tolerance)),
     }  # fmt: skip
     identifier = f"pitp_{plan.name}"
     return {key: writer.number(value) for key, value in numbers.items()} | {
@@ -166,7 +167,7 @@ def loop_text(gains: PIGains) -> str:
 def sizes(plan: Plan) -> dict[str, str]:
     """Estimate the load on a controller: RAM and constants (bytes), and operations per call."""
     width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
-    reals = plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 8
+    reals = 2 * plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 10
     predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
     window = (2 * BLOCKS + 1) * (n + 1) + block
     tables = width * ((n + 2) * BLOCKS + (n + 1) * (n + 2)) + sum(
@@ -176,7 +177,8 @@ def sizes(plan: Plan) -> dict[str, str]:
     flash = tables + 10 * (predict + inverse) + 2048
     return {
         "ram": f"{width * reals + 16}", "flash": f"{flash / 1024:.0f}", "predict_operations": f"{predict}",
-        "inverse_operations": f"{inverse}", "target_operations": f"{inverse + window}",
+        "inverse_operations": f"{inverse}", "pi_operations": f"{inverse + predict}",
+        "target_operations": f"{inverse + window}",
     }  # fmt: skip
 
 

@@ -1,11 +1,14 @@
 """Tune a PI controller that acts on the force, from the model and a closed-loop time constant (IMC).
 
-    F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I,   e = wanted - measured (model coordinates)
+    F = F_ff + P e + I int e dt,   I = a_0 / lambda,   P = (a_1 / a_0) I
+    e = expected - measured (model coordinates), averaged:  e += k (now - e),  k = dt / (dt + lambda / 5),  less 4 s_e
     loop and margins: `method.invert.loop`, with G = dx/dF of the sampled decoder with its effects, the input held
 
 The controller's zero cancels a_0 + a_1 s, so that below the resonance L = 1 / (lambda s). At the resonance |L| is
-1 / (2 zeta lambda w_0). Acting on the force, u = map^-1(F), keeps L the same at every voltage. G is linearised about
-equilibria of the trained stroke (`equilibria`), a_0 is the least stiffness among them.
+1 / (2 zeta lambda w_0). s_e = s sqrt(k / (2 - k)) is the noise s of the sensor in the average; without noise k is 1.
+`expected` is the model's own displacement under the feedforward, so an unchanged actuator is not corrected. Acting on
+the force, u = map^-1(F), keeps L the same at every voltage. G is linearised about equilibria of the trained stroke
+(`equilibria`), a_0 is the least stiffness among them.
 
 Rivera, Morari and Skogestad (1986), Internal model control: PID controller design.
 """
@@ -30,6 +33,11 @@ from .equilibria import equilibria
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
 _CHOSEN = 1.7  # bound for the default time constant, below the limit, because a model is not the actuator
 _FINER, _LONGEST = 1.05, 1e3  # ratio of two time constants of a search; its end, over 2 / (zeta w_0)
+_SMOOTHS = 0.2  # of lambda: time constant of the average, where the sensor has noise
+_NOISE = 4.0  # standard deviations of the averaged noise that are not corrected
+_SAMPLES = 10.0  # lambda at least, in samples, by default
+_PART = 0.1  # of the range of voltages: a correction that the slew limit allows within lambda
+_STEP = 1 / 3  # of the largest step of a sample: what the noise may move the voltage in one
 _ALONE = "; --time-constant inf exports the feedforward without a controller"
 
 
@@ -43,6 +51,8 @@ class PIGains:
         time_constant: of the closed loop, s; also that of the back-calculation.
         gain_margin: by how much the plant's gain may grow.
         max_sensitivity: largest |1 / (1 + L)|.
+        smoothing: the part of its difference from the error that the average moves in a sample; 1: no average.
+        tolerance: averaged noise of the sensor that is not corrected, m.
     """
 
     p: float
@@ -50,6 +60,8 @@ class PIGains:
     time_constant: float
     gain_margin: float
     max_sensitivity: float
+    smoothing: float = 1.0
+    tolerance: float = 0.0
 
 
 def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: float | None = None) -> PIGains:
@@ -58,8 +70,8 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
     Args:
         model: identified or trained, with any effects.
         dt: s between two samples of the controller; None: the model's own.
-        time_constant: of the closed loop, s; None: the shortest one with a maximum sensitivity of at most 1.7;
-            inf: no controller, P = I = 0.
+        time_constant: of the closed loop, s; None: the shortest one with a maximum sensitivity of at most 1.7, of at
+            least 10 samples, and slow enough for the slew limit and the sensor's noise; inf: no controller, P = I = 0.
 
     Returns:
         the gains, the gain margin and the maximum sensitivity.
@@ -81,7 +93,7 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
         raise BadInput(f"--time-constant {time_constant:g}is not a positive number of seconds")
     tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
     if time_constant is None:
-        return _shortest(tuned, slowest, dt, _CHOSEN)
+        return _shortest(tuned, slowest, dt, _CHOSEN, model)
     gains = tuned(time_constant)
     if gains.max_sensitivity > SENSITIVE:
         enough = _shortest(tuned, max(slowest, time_constant), dt, SENSITIVE)
@@ -102,12 +114,14 @@ def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
     a = model.physical_coefficients
     with jax.enable_x64(True):
         plants, stiffness = operating_points(in_double(model), dt)
-    a0 = min(a[0], *stiffness)
+    a0, noise = min(a[0], *stiffness), float(model.domain.noise)
 
     def tuned(seconds: float) -> PIGains:
         i = float(a0 / seconds)
         p = float(a[1] / a[0] * i)
-        return PIGains(p, i, float(seconds), *margins(plants, p, i, dt))
+        k = dt / (dt + _SMOOTHS * seconds) if noise else 1.0
+        tolerance = _NOISE * noise * float(np.sqrt(k / (2 - k)))
+        return PIGains(p, i, float(seconds), *margins(plants, p, i, dt, k), k, tolerance)
 
     return tuned
 
@@ -119,14 +133,38 @@ def _slowest(a: np.ndarray) -> float:
     return float(2 / np.abs((pairs if len(pairs) else poles).real).min())
 
 
-def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
+def slew_of(model: Model) -> float:
+    """Return the largest slew of the voltage: of the training records, or of a slew limit in the model, V/s."""
+    inverses = [float(v) for e in model.effects if e.name == "slew_limit" for _, v in e.numbers()]
+    return min([float(model.domain.slew), *(1 / v for v in inverses if v > 0)])
+
+
+def _is_calm(model: Model, gains: PIGains, dt: float) -> bool:
+    """Return whether the loop leaves room for the sample time, and asks no more of the slew than the limit gives."""
+    low, high = model.domain.voltage_range
+    slew, top = slew_of(model), max(abs(low), abs(high))
+    if not np.isfinite(slew) or not np.isfinite(top):
+        return bool(gains.time_constant >= _SAMPLES * dt)
+    seconds = max(_SAMPLES * dt, _PART * (high - low) / slew)
+    jump = np.sqrt(2) * gains.p * gains.smoothing * float(model.domain.noise)  # of the force in a sample, rms
+    jump = jump / top if model.input_map.one_sided else jump
+    return bool(gains.time_constant >= seconds and jump <= _STEP * slew * dt)
+
+
+def _shortest(tuned, first: float, dt: float, sensitivity: float, calm: Model | None = None) -> PIGains:
     """Find the shortest closed-loop time constant within a maximum sensitivity, starting at `first` (s).
+
+    `calm`: a model whose sample time, noise and slew limit it respects as well.
 
     Raises:
         BadInput: none exists.
     """
+
+    def is_allowed(gains: PIGains) -> bool:
+        return gains.max_sensitivity <= sensitivity and (calm is None or _is_calm(calm, gains, dt))
+
     gains = tuned(first)
-    while gains.max_sensitivity > sensitivity:
+    while not is_allowed(gains):
         if gains.time_constant > _LONGEST * first:
             raise BadInput(
                 f"no PI controller: no time constant up to {_LONGEST * first:.2g} s keeps the maximum sensitivity "
@@ -135,7 +173,7 @@ def _shortest(tuned, first: float, dt: float, sensitivity: float) -> PIGains:
         gains = tuned(_FINER * gains.time_constant)
     while gains.time_constant > dt:
         shorter = tuned(gains.time_constant / _FINER)
-        if shorter.max_sensitivity > sensitivity:
+        if not is_allowed(shorter):
             break
         gains = shorter
     return gains

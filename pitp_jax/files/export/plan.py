@@ -35,7 +35,7 @@ from ...method.numerics.spline_derivative import derivatives
 from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
 from .equilibria import stroke
-from .pi_gains import PIGains, pi_gains
+from .pi_gains import PIGains, pi_gains, slew_of
 
 SAMPLES = 1000
 _PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: a test vector covers at least these
@@ -110,11 +110,11 @@ class Plan:
 
     @property
     def voltages(self) -> tuple[float, float, float]:
-        """Return the lowest and highest voltage and the slew of the training records, in the exported units."""
+        """Return the lowest and highest voltage and the largest slew (`slew_of`), in the exported units."""
         low, high = map(self.units.input.shown, self.model.domain.voltage_range)
         if self.model.input_map.one_sided:
             low, high = 0.0, max(high, -low)
-        slew = float(self.units.input.shown(self.model.domain.slew))
+        slew = float(self.units.input.shown(slew_of(self.model)))
         return min(float(low), 0.0), min(max(float(high), 0.0), _NONE), min(slew, _NONE)
 
     @property

@@ -92,8 +92,10 @@ def _frequencies(poles: np.ndarray, dt: float, natural: float) -> np.ndarray:
     return np.unique(np.clip(np.concatenate([coarse, *near]), 0, 0.9999 * top))[1:]
 
 
-def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[float, float]:
+def margins(plants: Sequence[Plant], p: float, i: float, dt: float, smoothing: float = 1.0) -> tuple[float, float]:
     """Compute gain margin and maximum sensitivity, each the worst over all operating points.
+
+    `smoothing`: the part k of its difference from the error that the controller's average moves in a sample.
 
     Returns:
         The gain margin and the maximum sensitivity; the sensitivity is infinite if a loop is unstable.
@@ -102,6 +104,7 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float) -> tuple[flo
     for plant in plants:
         z = np.exp(1j * plant.frequency * dt)
         L = (p + i * dt * z / (z - 1)) * plant.response / z
+        L *= smoothing * z / (z - 1 + smoothing)
         stable = _is_stable((1 + L) * (z - 1) / z, int((np.abs(plant.poles) > 1 + _ROUNDING).sum()))
         crossings = _crossings(L)
         # A stable loop may cross beyond -1 and return; there a lower gain is dangerous, so it is not a gain margin.

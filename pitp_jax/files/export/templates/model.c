@@ -48,7 +48,7 @@ static bool accepted(real to[], const real from[], unsigned count, const real ou
 }
 
 /* Within the slew and the range, from the voltage before. */
-static real limited(@id@_state *state, real wanted, uint32_t *flags)
+static real limited(real last, real wanted, uint32_t *flags)
 {
     real u = wanted;
     if (u > @UP@_MAX_VOLTAGE) {
@@ -61,16 +61,15 @@ static real limited(@id@_state *state, real wanted, uint32_t *flags)
     if ((u < wanted) || (u > wanted)) {
         *flags |= @UP@_VOLTAGE;
     }
-    if (u > (state->voltage + MOST_STEP)) {
-        u = state->voltage + MOST_STEP;
+    if (u > (last + MOST_STEP)) {
+        u = last + MOST_STEP;
         *flags |= @UP@_SLEW;
-    } else if (u < (state->voltage - MOST_STEP)) {
-        u = state->voltage - MOST_STEP;
+    } else if (u < (last - MOST_STEP)) {
+        u = last - MOST_STEP;
         *flags |= @UP@_SLEW;
     } else {
         /* within the slew */
     }
-    state->voltage = u;
     return u;
 }
 
@@ -85,15 +84,30 @@ static bool waits(@id@_state *state, uint32_t *flags)
     return still;
 }
 
+/* The displacement that the model expects of the feedforward alone, within its limits, at the time of this reading. */
+static real expectation(@id@_state *state, real feedforward, uint32_t *flags)
+{
+    real next[MODEL];
+    real out[1] = {ZERO};
+    state->feed = limited(state->feed, feedforward, flags);
+    predict_core(state->expected, &state->feed, next, out);
+    (void)accepted(state->expected, next, MODEL, out);
+    return out[0];
+}
+
 /* The last voltage for WATCHDOG calls, then a ramp to 0 @in@. */
 static real silence(@id@_state *state, uint32_t *flags)
 {
-    if (waits(state, flags)) {
-        return state->voltage;
-    }
-    state->closed = 0u;
     uint32_t cut = 0u;
-    return limited(state, ZERO, &cut);
+    if (!waits(state, flags)) {
+        state->closed = 0u;
+        state->voltage = limited(state->voltage, ZERO, &cut);
+        state->feed = state->voltage;
+    }
+    if (state->stale == 0u) {
+        (void)expectation(state, state->feed, &cut);
+    }
+    return state->voltage;
 }
 
 /* Eq. 13 before any limit; false where the target or the voltage is not finite. A target out of range is moved to its
@@ -201,6 +215,12 @@ void @id@_init(@id@_state *state, real reading, real u0)
     state->reference[0] = y0;
     state->displacement = y0;
     state->voltage = u0;
+    predict_start(held, held, state->expected, NULL);
+    state->feed = u0;
+    if (still) { /* at rest there is no voltage to take over */
+        state->closed = 1u;
+        state->blind = 1u;
+    }
     state->p = @UP@_P;
     state->i = @UP@_I;
     state->track = @UP@_TRACK;
@@ -224,13 +244,15 @@ static real open_loop(@id@_state *state, real wanted[], bool came, uint32_t *fla
 {
     real voltage = ZERO;
     state->closed = 0u;
+    state->stale = 1u;
     if (!planned(state, wanted, &voltage, flags)) {
         return silence(state, flags);
     }
     if (came) {
         state->silent = 0u;
     }
-    return limited(state, voltage, flags);
+    state->voltage = limited(state->voltage, voltage, flags);
+    return state->voltage;
 }
 
 real @id@_inverse_step(@id@_state *state, const real target[@tokens@], uint32_t *flags)
@@ -269,16 +291,31 @@ real @id@_inverse_target_step(@id@_state *state, const real *target, uint32_t *f
     return open_loop(state, rows, came, flags);
 }
 
-/* PI on the force: u = map^-1(F + P e + I (integral of e)), F that of the feedforward, e = target - displacement.
+/* PI on the force: u = map^-1(F + P e + I (integral of e)), F that of the feedforward.
+ *
+ * e = what the model expects of the feedforward less the displacement, so that delay, hold, limits and memories of the
+ * actuator that the model knows are no error. The sensor's noise is averaged, and what it leaves of it is no error either.
  *
  * Back-calculation: what range and slew cut off the force leaves the integral with the closed loop's time constant.
  * Without a reading the correction stands for WATCHDOG calls, then fades; a reading that comes again, or a start, takes
  * the voltage over as it is.
  */
-static real trimmed(@id@_state *state, real feedforward, real error, bool seen, uint32_t *flags)
+static real trimmed(@id@_state *state, real feedforward, real target, real displacement, bool seen, uint32_t *flags)
 {
-    const real top = larger_of(feedforward, @UP@_MIN_VOLTAGE);
-    const real base = force_of((top > @UP@_MAX_VOLTAGE) ? @UP@_MAX_VOLTAGE : top);
+    if (state->stale > 0u) {
+        const real held[2] = {displacement, state->voltage};
+        state->stale = 0u;
+        predict_start(held, held, state->expected, NULL);
+        state->feed = state->voltage;
+        state->smooth = ZERO;
+    }
+    const real now = expectation(state, feedforward, flags);
+    const real expected = (@UP@_LATE > 0u) ? target : now; /* a late prediction is not of this reading */
+    const real base = force_of(state->feed);
+    if (seen) {
+        state->smooth += @UP@_SMOOTH * ((expected - displacement) - state->smooth);
+    }
+    const real error = state->smooth - smaller_of(larger_of(state->smooth, -@UP@_DEAD), @UP@_DEAD);
     const real p = SIGN * state->p * error;
     if (state->closed == 0u) {
         state->trim = seen ? (force_of(state->voltage) - base) : ZERO;
@@ -301,7 +338,8 @@ static real trimmed(@id@_state *state, real feedforward, real error, bool seen, 
         }
     }
     const real wanted = base + state->trim;
-    const real u = limited(state, voltage_of(wanted), flags);
+    const real u = limited(state->voltage, voltage_of(wanted), flags);
+    state->voltage = u;
     if ((wanted < force_of(@UP@_MIN_VOLTAGE)) || (wanted > force_of(@UP@_MAX_VOLTAGE))) {
         *flags |= @UP@_VOLTAGE;
     }
@@ -334,13 +372,15 @@ real @id@_pi_step(@id@_state *state, const real target[@tokens@], real measured,
         state->trim = ZERO;
         state->closed = 1u;
         state->blind = 1u;
-        return limited(state, voltage, flags);
+        state->stale = 1u;
+        state->voltage = limited(state->voltage, voltage, flags);
+        return state->voltage;
     }
     const bool seen = all_finite(&measured, 1u);
     if (!seen) {
         *flags |= @UP@_NOT_A_NUMBER;
     }
-    return trimmed(state, voltage, seen ? (wanted[0] - displaced(state, measured)) : ZERO, seen, flags);
+    return trimmed(state, voltage, wanted[0], seen ? displaced(state, measured) : wanted[0], seen, flags);
 }
 
 real @id@_pi_target_step(@id@_state *state, const real *target, real measured, uint32_t *flags)

@@ -31,6 +31,8 @@ typedef @real@ @id@_real;
 #define @UP@_P @p@             /* gains of the PI steps, on the force: @gain_unit@, */
 #define @UP@_I @i@             /* @integral_unit@ */
 #define @UP@_TRACK @track@         /* 1/s: over the closed loop's time constant */
+#define @UP@_SMOOTH @smooth@         /* of the difference between expectation and reading, a call */
+#define @UP@_DEAD @dead@         /* @out@: noise of the sensor that this leaves, which is not corrected */
 
 /* What a call may report; more than one bit may be set. */
 #define @UP@_NOT_A_NUMBER 1u   /* an input was not finite: the last valid voltage is kept */
@@ -43,6 +45,7 @@ typedef @real@ @id@_real;
 
 typedef struct {
     @id@_real model[@model_states@];
+    @id@_real expected[@model_states@]; /* the model under the feedforward alone */
     @id@_real plan[@plan_states@];
     @id@_real window[@window@];
     @id@_real recent[@block@];
@@ -51,6 +54,8 @@ typedef struct {
     @id@_real asked;        /* @out@, the last target of pi_target_step */
     @id@_real displacement; /* @out@, last predicted */
     @id@_real voltage;      /* @in@, last given out */
+    @id@_real feed;         /* @in@, the feedforward within the limits */
+    @id@_real smooth;       /* @out@, expectation less reading */
     @id@_real p;            /* @gain_unit@, gains of the PI steps: set them after init */
     @id@_real i;            /* @integral_unit@ */
     @id@_real track;        /* 1/s, of the back-calculation; 0 turns it off */
@@ -59,6 +64,7 @@ typedef struct {
     uint32_t head;          /* oldest place of the window */
     uint32_t silent;        /* calls without a target */
     uint32_t blind;         /* calls without a reading */
+    uint32_t stale;         /* steps without a loop left `expected` behind */
     uint32_t closed;        /* the last voltage came from a PI step */
 } @id@_state;
 
@@ -75,8 +81,9 @@ void @id@_init(@id@_state *state, @id@_real reading, @id@_real u0);
 /* Voltage now for a target sampled every DT, given LOOK_AHEAD samples early; NULL: none came. */
 @id@_real @id@_inverse_target_step(@id@_state *state, const @id@_real *target, uint32_t *flags);
 
-/* inverse_step and a PI on the force, u = map^-1(F + P e + I (integral of e)), e = y - y(measured); measured NAN: none came.
- * It starts from the voltage that stands, and what range and slew cut does not wind it up. */
+/* inverse_step and a PI on the force, u = map^-1(F + P e + I (integral of e)), e = expected - y(measured); measured NAN: none came.
+ * e compares the reading with what the model expects of the feedforward at that time, with its delay and its limits. It
+ * starts from the voltage that stands, and what range and slew cut does not wind it up. */
 @id@_real @id@_pi_step(@id@_state *state, const @id@_real target[@tokens@], @id@_real measured, uint32_t *flags);
 
 /* The same for a target of this moment, without derivatives: it is followed through @reference_order@ lags of @reference_ms@ ms. */
