@@ -137,7 +137,7 @@ def turning(simulator):
     return Fitted(simulator.model, replace(simulator.origin, voltage_unit="rad", displacement_unit="rad"))
 
 
-def _rows(simulator, *effects):
+def _rows(simulator, *effects, parts=()):
     """Numbers beside a robot that has these (name, form, numbers in physical units) besides, Kp = 20."""
     scales = (simulator.scales.state, simulator.scales.force)
     made = []
@@ -146,7 +146,7 @@ def _rows(simulator, *effects):
         factors = [physical_factor(p, *scales) for p in row.parameters]
         made.append(row(*(jnp.asarray(v / f, jnp.float32) for v, f in zip(values, factors, strict=True))))
     names = tuple(name for name, *_ in effects)
-    robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names)
+    robot: Any = SimpleNamespace(model=replace(simulator, effects=tuple(made)), added=[], effects=names, parts=parts)
     records = [replace(r, voltage_unit="rad", displacement_unit="rad") for r in recordings()]
     return {p.name: p for p in parameters(simulator, robot, records, 20.0)}
 
@@ -197,6 +197,26 @@ def test_stops_at_two_places_are_two_numbers_and_mass_is_inertia(turning):
     assert rows["inertia"].certain and not rows["damping"].certain
     both = _rows(turning, ("end_stop", "each side, damped", 30.0, 0.3, 0.4, 0.01))
     assert [both[f"end_stop place, {side}"].robot for side in ("above", "below")] == pytest.approx([0.3, 0.4])
+
+
+@pytest.mark.parametrize(("speed", "names"), [(110.0, {"level"}), (1.0, {"level", "rise", "speed"})])
+def test_friction_whose_speed_was_not_recorded_is_the_friction_at_the_recorded_speeds(turning, speed, names):
+    """Level 0.0017 and rise 12 at 110 rad/s are 0.0221 at every recorded speed (some 3 rad/s)."""
+    rows = _rows(turning, ("coulomb_friction", "Stribeck", 0.0017, 12.0, speed))
+    friction = {k.split()[1]: row for k, row in rows.items() if k.startswith("coulomb_friction")}
+    assert set(friction) == names
+    told = 0.0017 * (13 if "rise" not in names else 1) * 20
+    assert friction["level"].robot == pytest.approx(told, rel=5e-3) and friction["level"].determined
+
+
+@pytest.mark.parametrize(("certainty", "determined"), [("likely", True), ("none", False)])
+def test_what_the_diagnosis_does_not_determine_is_marked(turning, certainty, determined):
+    """The friction at the recorded speeds is known where the effect is; each of its parameters by its interval."""
+    unknown = {name: {"value": 1.0, "unit": "", "ci95": None} for name in ("level", "rise", "speed")}
+    part = SimpleNamespace(effect="coulomb_friction", parameters=unknown, certainty=certainty)
+    for speed, wanted in ((110.0, determined), (1.0, False)):
+        rows = _rows(turning, ("coulomb_friction", "Stribeck", 0.0017, 12.0, speed), parts=(part,))
+        assert rows["coulomb_friction level"].determined == wanted and rows["damping"].determined
 
 
 def test_a_third_pole_stands_as_a_lag_behind_two_in_the_robots_model(turning):

@@ -134,6 +134,15 @@ def test_differences_over_the_gain_become_numbers_of_the_joint(arm):
     assert written.left[0].words == "backlash width" and "second hinge" in written.left[0].way
 
 
+def test_a_number_that_the_diagnosis_does_not_determine_is_not_written(arm):
+    pytest.importorskip("mujoco")
+    friction = replace(_row("coulomb_friction level", 0.0, 0.0022), determined=False)
+    before, written, after = _written(arm, [_row("inertia", 0.001, 0.003), friction])
+    assert after.frictionloss == before.frictionloss and after.armature == pytest.approx(0.02 + 20 * 0.002)
+    (left,) = written.left
+    assert left.words == "coulomb_friction level" and "do not determine it" in left.way
+
+
 def test_coefficients_that_moved_alike_are_the_gain(arm):
     pytest.importorskip("mujoco")
     rows = [

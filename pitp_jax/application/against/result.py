@@ -84,6 +84,7 @@ class SimToReal:
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
+                error += "" if p.determined else " (these recordings do not determine it)"
                 names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
                 found.append(
                     f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"

@@ -13,32 +13,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ...common.numbers import number
-from ...method.diagnose.joint import Parameter
+from ...method.diagnose.joint import NAMES, Names, Parameter, gain_factor
 from .change import Change, NotWritten
 from .document import Tag
 from .joint import Joint
 from .weight import add_weight
 
-_ALIKE = 0.1  # of their logarithm, plus two standard errors: two factors that differ by less are one
 _WEIGHT = "softening weight"
 _TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one side
-
-
-_WAYS = {
-    "backlash width": "a second hinge in series with a range of +- half of it (one more body, a smaller timestep)",
-    "backlash rate": "damping of that second hinge over its inertia",
-    "second_mode inertia": "a second body on a hinge with stiffness and damping",
-    "second_mode spring": "stiffness of that second hinge",
-    "second_mode damper": "damping of that second hinge",
-    "slew_limit inverse": "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
-    "dead_zone level": "subtract it from ctrl in your control loop",
-    _WEIGHT: "mass of the body, or pos of its inertial: m g l must rise by the difference",
-    "coulomb_friction rise": "actuator <dcmotor> with a friction model; frictionloss has one level",
-    "coulomb_friction speed": "actuator <dcmotor> with a friction model; frictionloss has one level",
-    "coulomb_friction give": "actuator <dcmotor> with a friction model, or solreffriction",
-    "coulomb_friction mu": "none, because frictionloss does not grow with the load",
-    "sensor_lag tau": "none on the sensor; filter qpos in your control loop",
-}
 
 
 def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
@@ -51,7 +33,7 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
     Returns:
         changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
-    rows = {p.name: p for p in told if _is_known(p)}
+    rows = {p.name: p for p in told if _is_known(p) and p.determined}
     f = joint.torque_per_command
     k, beside = _gain_factor(joint, {p.name: p for p in told}, rows)
     found: list[Change] = []
@@ -61,7 +43,7 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
         ("coulomb_friction level", "frictionloss", "N m"),
     ):  # fmt: skip
-        row = rows.get(name) or (next((p for p in told if p.name == name), None) if k != 1.0 else None)
+        row = rows.get(name) or (next((p for p in told if p.name == name and p.determined), None) if k != 1.0 else None)
         if row is None:
             continue
         difference = f * (k * row.robot - row.simulator)
@@ -86,7 +68,12 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         written.discard("electrode_rc tau")
     elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
         written.add("sensor_lag tau")
-    left = [NotWritten(p.words, _value(p), _WAYS.get(name, "none")) for name, p in rows.items() if name not in written]
+    left = [
+        NotWritten(p.words, _value(p), NAMES.get(name, Names("")).substitute)
+        for name, p in rows.items() if name not in written
+    ]  # fmt: skip
+    unknown = "none: these recordings do not determine it, so the file keeps its own value"
+    left += [NotWritten(p.words, _value(p), unknown) for p in told if p.difference and not p.determined]
     if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
         way = "write the motor as <general> with dyntype and dynprm"
         left = [replace(n, way=way) if n.way == "none" else n for n in left]
@@ -126,17 +113,14 @@ def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping
     inertia, damping = all_rows.get("inertia"), all_rows.get("damping")
     if inertia is None or not inertia.simulator > 0 or not inertia.robot > 0 or "inertia" not in moved:
         return 1.0, ""
-    ratio = inertia.robot / inertia.simulator
-    error = 0.0 if inertia.stderr is None else inertia.stderr / inertia.simulator
-    alike = False
-    if damping is not None and damping.simulator > 0:
-        other = damping.robot / damping.simulator
-        spread = math.hypot(error, 0.0 if damping.stderr is None else damping.stderr / damping.simulator)
-        alike = other > 0 and abs(math.log(other / ratio)) <= 2 * spread + _ALIKE * abs(math.log(ratio))
+    ratio, factor = inertia.robot / inertia.simulator, None
+    if damping is not None and damping.simulator > 0 and damping.robot > 0:
+        error = math.hypot(*((p.stderr or 0.0) / p.robot for p in (inertia, damping)))
+        factor = gain_factor((ratio, damping.robot / damping.simulator), error)
+    if factor is not None:
+        return factor, f"or inertia and damping x {number(1 / factor)} each"
     impossible = joint.armature + joint.torque_per_command * inertia.difference < 0
-    if not alike and not impossible:
-        return 1.0, ""
-    return 1 / ratio, f"or inertia and damping x {number(ratio)} each" if alike else ""
+    return (1 / ratio if impossible else 1.0), ""
 
 
 def _gain(joint: Joint, k: float, beside: str) -> list[Change]:

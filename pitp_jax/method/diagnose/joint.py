@@ -46,49 +46,98 @@ class Answer(Protocol):
 
 @dataclass(frozen=True)
 class Names:
-    """The name of a parameter in plain words, in MuJoCo, PhysX and URDF; a dash if a program lacks it."""
+    """The name of a parameter in plain words, in MuJoCo, PhysX and URDF; a dash if a program lacks it.
+
+    `substitute`: the nearest way to enter it in MuJoCo, if no attribute holds it.
+    """
 
     words: str
     mujoco: str = "-"
     physx: str = "-"
     urdf: str = "-"
+    substitute: str = "none"
 
 
-_ALIKE = 0.05  # of a coefficient: changes that differ by less are one change of the position gain
+_ALIKE = 0.05  # of a coefficient: changes that differ by less, beyond two errors, are one change of the gain
+_LEVEL = 0.1  # friction that changes by less over the recorded speeds is one level there
+_MOTOR = "actuator <dcmotor> with a friction model"
 _SCALED_BY_GAIN = ("damping", "inertia")
 
-_NAMES = {
+NAMES = {
     "gain": Names("steady output per command"),
     "position gain": Names("position gain of the controller", "actuator kp", "stiffness of the drive", "-"),
     "stiffness": Names("spring", "joint stiffness"),
     "damping": Names("viscous damping", "joint damping", "viscousFrictionCoefficient", "dynamics damping"),
     "inertia": Names("inertia", "joint armature", "armature"),
-    "softening weight": Names("weight on the arm, m g l", "mass of the body", "mass of the link", "inertial mass"),
+    "softening weight": Names(
+        "weight on the arm, m g l",
+        "mass of the body",
+        "mass of the link",
+        "inertial mass",
+        "mass of the body, or pos of its inertial: m g l must rise by the difference",
+    ),
     "coulomb_friction level": Names("dry friction", "joint frictionloss", "dynamicFrictionEffort", "dynamics friction"),
     "coulomb_friction rise": Names(
-        "static over dry friction, minus 1", "-", "staticFrictionEffort: dry friction (1 + it)"
+        "static over dry friction, minus 1",
+        "-",
+        "staticFrictionEffort: dry friction (1 + it)",
+        substitute=f"{_MOTOR}; frictionloss has one level",
     ),
-    "coulomb_friction speed": Names("speed over which dry friction changes"),
-    "coulomb_friction give": Names("distance that the contact gives before it slides"),
-    "coulomb_friction mu": Names("dry friction over the spring force"),
+    "coulomb_friction speed": Names(
+        "speed over which dry friction changes", substitute=f"{_MOTOR}; frictionloss has one level"
+    ),
+    "coulomb_friction give": Names(
+        "distance that the contact gives before it slides", substitute=f"{_MOTOR}, or solreffriction"
+    ),
+    "coulomb_friction mu": Names(
+        "dry friction over the spring force", substitute="none, because frictionloss does not grow with the load"
+    ),
     "delay time": Names("delay of the command", "actuator delay", "DelayedPDActuatorCfg max_delay (steps)"),
     "backlash width": Names(
-        "backlash, whole width", "extra hinge, range +- half", "extra joint, limits +- half", "extra joint, limits"
+        "backlash, whole width",
+        "extra hinge, range +- half",
+        "extra joint, limits +- half",
+        "extra joint, limits",
+        "a second hinge in series with a range of +- half of it (one more body, a smaller timestep)",
     ),
-    "backlash rate": Names("rate at which the load slows within it", "extra hinge damping over its inertia"),
+    "backlash rate": Names(
+        "rate at which the load slows within it",
+        "extra hinge damping over its inertia",
+        substitute="damping of that second hinge over its inertia",
+    ),
     "end_stop place": Names("place of the stops", "joint range", "joint limits", "limit lower/upper"),
     "end_stop place, above": Names("place of the upper stop", "joint range", "joint limits", "limit upper"),
     "end_stop place, below": Names("place of the lower stop, from 0", "joint range", "joint limits", "limit lower"),
-    "second_mode inertia": Names("second body on a spring: inertia", "extra body", "extra link", "extra link"),
-    "second_mode spring": Names("its spring", "extra hinge stiffness", "extra joint stiffness"),
-    "second_mode damper": Names("its damper", "extra hinge damping", "extra joint damping", "dynamics damping"),
+    "second_mode inertia": Names(
+        "second body on a spring: inertia",
+        "extra body",
+        "extra link",
+        "extra link",
+        "a second body on a hinge with stiffness and damping",
+    ),
+    "second_mode spring": Names(
+        "its spring", "extra hinge stiffness", "extra joint stiffness", substitute="stiffness of that second hinge"
+    ),
+    "second_mode damper": Names(
+        "its damper", "extra hinge damping", "extra joint damping", "dynamics damping", "damping of that second hinge"
+    ),
     "electrode_rc tau": Names("lag of the drive", 'actuator dyntype="filter" dynprm'),
     # with a linear joint the two lags are equivalent: either may be entered
-    "sensor_lag tau": Names("lag of the sensor, or of the drive", 'actuator dyntype="filter" dynprm'),
-    "slew_limit inverse": Names("largest rate of the command", "rate of ctrl", "velocity limit", "limit velocity"),
+    "sensor_lag tau": Names(
+        "lag of the sensor, or of the drive",
+        'actuator dyntype="filter" dynprm',
+        substitute="none on the sensor; filter qpos in your control loop",
+    ),
+    "slew_limit inverse": Names(
+        "largest rate of the command",
+        "rate of ctrl",
+        "velocity limit",
+        "limit velocity",
+        "limit the rate of ctrl in your control loop; or actuator <pid> slewmax",
+    ),
     "force_limit inverse": Names("largest force of the drive", "actuator forcerange", "max effort", "limit effort"),
     "voltage_clip inverse": Names("largest command", "actuator ctrlrange", "clip of the target"),
-    "dead_zone level": Names("dead zone of the command"),
+    "dead_zone level": Names("dead zone of the command", substitute="subtract it from ctrl in your control loop"),
 }
 
 
@@ -102,6 +151,7 @@ class Parameter:
         stderr: of the difference; None if unknown.
         mujoco, physx, urdf: its names there.
         certain: whether the diagnosis reports the effect, or the refitted coefficients.
+        determined: False where the diagnosis says that the recordings do not determine it.
     """
 
     name: str
@@ -115,6 +165,7 @@ class Parameter:
     physx: str
     urdf: str
     certain: bool
+    determined: bool = True
 
 
 @dataclass(frozen=True)
@@ -165,11 +216,12 @@ def parameters(
     of = units(records[0], nominal.order, position_gain)
     held = (0.0, 0.0) if nominal.hold == "zoh" else (0.5 * nominal.dt, 0.5 * records[0].dt)
     fitted = {a.effect: a.parameters for a in robot.added}
-    first, second = _side(nominal, of, held[0], {}), _side(robot.model, of, held[1], fitted)
+    speeds = _speeds(records, nominal.natural_frequency)
+    first, second = _side(nominal, of, held[0], {}, speeds), _side(robot.model, of, held[1], fitted, speeds)
     said, rows = {*robot.effects, *(e.name for e in nominal.effects)}, []
     gain = position_gain_factor(nominal, robot.model, of)
     if gain is not None:
-        value, names = of.factor, _NAMES["position gain"]
+        value, names = of.factor, NAMES["position gain"]
         unit = f"{of.force}/{of.output}" if position_gain is not None else "Kp"
         rows.append(Parameter(
             "position gain", names.words, value, value * gain, value * (gain - 1), None, unit, names.mujoco,
@@ -179,14 +231,47 @@ def parameters(
         it = second.get(key) or first[key]
         absent = np.inf if key.endswith("inverse") else 0.0  # a limit that does not exist
         sim, real = (side[key].value if key in side else absent for side in (first, second))
-        names = _NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
+        names = NAMES.get(key) or Names(key.replace(" ", ": ", 1).replace("_", " "))
         if gain is not None and key in _SCALED_BY_GAIN:
             names = replace(names, words=f"{names.words}, if the position gain is the simulator's")
         rows.append(Parameter(
             key, names.words, float(sim), float(real), float(real - sim if np.isfinite(sim) else real), it.stderr,
             "" if it.unit == "1" else it.unit, names.mujoco, names.physx, names.urdf, bool(said & it.causes),
+            _is_determined(key, it, getattr(robot, "parts", ())),
         ))  # fmt: skip
     return tuple(rows)
+
+
+def _is_determined(key: str, number: "_Number", parts: Sequence[Any]) -> bool:
+    """Return whether the diagnosis gives an interval for every parameter that this number is made of."""
+    for part in parts:
+        if part.effect not in number.causes:
+            continue
+        if number.at_speeds:  # a combination of parameters: known where the effect is
+            return part.certainty != "none"
+        coefficient = {"stiffness": "a_0", "damping": "a_1", "inertia": "a_2"}.get(key, key.replace("a", "a_"))
+        own = {key.removeprefix(f"{part.effect} ").split(",")[0], f"{coefficient} over given"}
+        told = [n for name, n in part.parameters.items() if name in own] or list(part.parameters.values())
+        if part.effect == "parameter_change" and not own & set(part.parameters):
+            continue
+        if any(n["ci95"] is None for n in told):
+            return False
+    return True
+
+
+def _speeds(records: Sequence[Record], frequency: float) -> tuple[float, float]:
+    """Return the speeds (base unit/s) that a tenth and nine tenths of the moving samples stay below.
+
+    Speeds are differences over a twentieth of a period, so that they are not the sensor's noise.
+    """
+    found = [np.zeros(0)]
+    for r in records:
+        step = max(round(0.05 * 2 * np.pi / frequency / r.dt), 1)
+        v = np.abs(r.displacement[step:] - r.displacement[:-step]) / (step * r.dt)
+        v = v[np.isfinite(v)]
+        found.append(v[v > 0.05 * v.max(initial=0.0)])
+    every = np.concatenate(found)
+    return (float(np.quantile(every, 0.1)), float(np.quantile(every, 0.9))) if len(every) else (0.0, np.inf)
 
 
 def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Units) -> float | None:
@@ -198,10 +283,18 @@ def position_gain_factor(nominal: Model | Fitted, robot: Model | Fitted, of: Uni
     a, b = nominal.physical_coefficients, robot.physical_coefficients
     if not of.position or len(a) != len(b) or min(*a, *b) <= 0:
         return None
-    logs = np.log(b / a)
-    size = -float(np.mean(logs[1:]))
-    alike = np.abs(logs[0]) < _ALIKE and np.ptp(logs[1:]) < _ALIKE < abs(size)
-    return float(np.exp(size)) if alike else None
+    ratios = b / a
+    return gain_factor(ratios[1:]) if np.abs(np.log(ratios[0])) < _ALIKE else None
+
+
+def gain_factor(ratios: Sequence[float] | np.ndarray, error: float = 0.0) -> float | None:
+    """Return the factor on the gain that alone explains these ratios of coefficients (robot / simulator), or None.
+
+    `error`: standard error of the logarithm of their ratio.
+    """
+    logs = np.log(np.asarray(ratios, float))
+    size = -float(np.mean(logs))
+    return float(np.exp(size)) if np.ptp(logs) < _ALIKE + 2 * error and abs(size) > _ALIKE else None
 
 
 @dataclass(frozen=True)
@@ -212,9 +305,12 @@ class _Number:
     unit: str
     causes: frozenset[str]
     stderr: float | None = None
+    at_speeds: bool = False
 
 
-def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Mapping]) -> dict[str, _Number]:
+def _side(
+    model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Mapping], speeds: tuple[float, float]
+) -> dict[str, _Number]:
     """Return the parameters of one model, by name; contributions of several effects are added.
 
     Of several stops, the nearest counts.
@@ -224,11 +320,12 @@ def _side(model: Model | Fitted, of: Units, held: float, fitted: Mapping[str, Ma
         of: units.
         held: part of its delay due to the hold of its log, s.
         fitted: parameters of the added effects, with their standard errors.
+        speeds: the lowest and highest recorded one, base unit/s.
     """
     coefficients, effects = _linear(model, len(of.of) - 1)
     table = _coefficients(coefficients, of, fitted.get("parameter_change", {}))
     for effect in effects:
-        for key, n in _numbers(model, effect, of, fitted.get(effect.name, {})):
+        for key, n in _numbers(model, effect, of, fitted.get(effect.name, {}), speeds):
             old = table.get(key)
             if old is not None:
                 value = min(old.value, n.value) if "stop" in key else old.value + n.value
@@ -270,7 +367,9 @@ def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number
     return table
 
 
-def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) -> Iterator[tuple[str, _Number]]:
+def _numbers(
+    model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping, speeds: tuple[float, float]
+) -> Iterator[tuple[str, _Number]]:
     """Yield the parameters to which one effect of a model contributes, with names and values."""
     base = base_units(units_of(model))  # a simulator's units
     told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
@@ -290,6 +389,10 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
         yield "stiffness", share(-weight, 0, "curvature", "curvature")
     elif (effect.name, effect.form) == ("softening", "weight on an arm"):
         yield "softening weight", share(a[0] * told["kappa"][0] / told["curvature"][0], 0, "kappa")
+    elif (effect.name, effect.form) == ("coulomb_friction", "Stribeck") and (
+        (level := _one_level(told, speeds)) is not None
+    ):
+        yield "coulomb_friction level", _Number(of.factor * level, of.force, causes, None, True)
     elif effect.name == "second_mode" and "kappa" in told and len(a) > 2:
         spring, omega, zeta = a[0] * told["kappa"][0], told["omega"][0], told["zeta"][0]
         yield "second_mode inertia", share(spring / omega**2, 2, "kappa", "omega", "omega")
@@ -311,6 +414,13 @@ def _numbers(model: Model | Fitted, effect: Effect, of: Units, fitted: Mapping) 
             if effect.form.startswith("each side"):
                 key = {"place": "place, above", "opposite": "place, below"}.get(p.name, p.name)
             yield f"{effect.name} {key}", _Number(value, unit, causes, error)
+
+
+def _one_level(told: Mapping[str, tuple[float, str]], speeds: tuple[float, float]) -> float | None:
+    """Return the friction at the recorded speeds if it is one level there; None if the recordings show its change."""
+    level, rise, speed = (told[name][0] for name in ("level", "rise", "speed"))
+    ends = [level * (1 + rise * np.exp(-((v / speed) ** 2))) for v in speeds]
+    return float(np.mean(ends)) if np.ptp(ends) < _LEVEL * np.mean(ends) else None
 
 
 def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:
