@@ -79,6 +79,17 @@ def test_values_that_stand_are_read_at_their_own_rate(tmp_path, rows):
     np.testing.assert_allclose(record.voltage, np.sin(2 * np.pi * 1.5 * (record.time + record.dt / 2)), atol=0.02)
 
 
+def test_a_slow_motion_of_the_same_log_is_read_at_the_same_rate(tmp_path):
+    fast = np.arange(6000) / 1000
+    for name, size in (("a", 1.0), ("b", 0.002)):  # b moves by a few steps of the sensor
+        motion = np.round(size * np.sin(2 * np.pi * fast) / 5e-4)[10 * (np.arange(6000) // 10)] * 5e-4
+        save_csv(
+            tmp_path / f"{name}.csv", {"time_s": fast, "command_rad": size * np.sin(9 * fast), "position_rad": motion}
+        )
+    assert read(tmp_path / "b.csv")[0].dt == pytest.approx(1e-3)
+    assert [record.dt for record in read(tmp_path)] == pytest.approx([1e-2, 1e-2])
+
+
 @pytest.mark.parametrize(
     "values",
     [np.round(TIME * 25) / 10, np.round(20 * MOTION), MOTION, np.zeros(STEPS)],

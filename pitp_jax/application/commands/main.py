@@ -14,11 +14,13 @@ import re
 import sys
 import traceback
 from collections.abc import Sequence
+from dataclasses import fields
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from ... import __version__
 from ...common.errors import BadInput, ComputationFailed
+from ...files.containers.options import ReadOptions, option_of
 from .cache import keep_programs
 from .console import say
 from .each import json_to_standard_output, once_per_joint
@@ -288,50 +290,22 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-_LENGTHS, _VOLTS = "m|mm|um|cm|nm", "V|kV|mV"
-_OTHERS = "A|mA, N|kN|N m, bar|kPa|MPa|psi, rad|deg|rev, rad/s|deg/s|rpm, m/s|m/s2, counts|percent"
-_SAID = (  # option, placeholder, type, help
-    ("time-column", "NAME", str, "time column: its exact header, or its number counted from 1"),
-    ("input-column", "NAME", str, "input column: its exact header or its number"),
-    ("output-column", "NAME", str, "output column: its exact header or its number"),
-    ("time-unit", "UNIT", str, "unit of the time, overrides the file: s|ms|us|ns|min|h|d"),
-    ("input-unit", "UNIT", str, f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"),
-    ("output-unit", "UNIT", str, f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"),
-    ("input-scale", "S", _number, "factor from the input column to V (a monitor of 1 V per kV: 1000)"),
-    ("output-scale", "S", _number, "factor from the output column to m (a laser of 2 mm per V: 0.002)"),
-    ("input-offset", "U", _any_number, "subtracted from the input column, in the numbers of the file (2048)"),
-    ("output-offset", "Y", _any_number, "subtracted from the output column, in the numbers of the file (2048)"),
-    ("rate", "HZ", _positive, "samples per second: for files without a time column; overrides any other clock"),
-    ("header-line", "N", int, "line with the column names, counted from 1"),
-    ("units-line", "N|none", str, "line with the units, counted from 1"),
-    ("separator", "CHAR", str, "separator of text files: a character, tab or blank"),
-    ("decimal", ".|,", str, "decimal mark of text files"),
-    ("encoding", "NAME", str, "encoding of text files: utf-8, cp1252, cp932, gb18030, ..."),
-    ("sheet", "NAME", str, "sheet of a workbook"),
-    ("split-by", "COLUMN|sheet|group", str, "several runs in one file: split it by this column into recordings"),
-    ("from", "S", _seconds, "use only the part from S on, in s after the first row of each recording"),
-    ("to", "S", _seconds, "use only the part up to S, in s after the first row of each recording"),
-)
-_RANGE = {"from": "from_s", "to": "to_s"}  # options whose names in Python differ
-
-
 def _columns(parser: argparse.ArgumentParser, *, target: bool = False, drive: bool = False, rate: bool = True) -> None:
     """Add the options that choose the columns of files, as in `pitp.read`, `read_target` or `read_voltage`."""
     group = parser.add_argument_group(
         "columns of the files", "by default, chosen by the names and units in the headers"
     )
-    for option, placeholder, kind, text in _SAID:
+    kinds = {"factor": _number, "number": _any_number, "positive": _positive, "whole": int, "seconds": _seconds}
+    for one in fields(ReadOptions):
+        option, kind = option_of(one.name), one.metadata["kind"]
         stem = option.partition("-")[0]
         if (stem == "input" and target) or (stem == "output" and drive) or (stem == "rate" and (target or not rate)):
             continue
-        name = _RANGE.get(option, option.replace("-", "_"))
-        group.add_argument(
-            f"--{option}", dest=f"{_READING}{name}", metavar=placeholder, type=kind, help=text,
-        )  # fmt: skip
-    group.add_argument(
-        "--join", dest=f"{_READING}join", metavar="FILE", nargs="+", action="extend",
-        help="further files with columns of the same rows (time, input and output in separate files)",
-    )  # fmt: skip
+        said = {"dest": f"{_READING}{one.name}", "metavar": one.metadata["placeholder"], "help": one.metadata["help"]}
+        if kind == "files":
+            group.add_argument(f"--{option}", nargs="+", action="extend", **said)
+        elif kind:
+            group.add_argument(f"--{option}", type=kinds.get(kind, str), **said)
     if not target and not drive:
         group.add_argument(
             "--each",

@@ -35,6 +35,7 @@ class Loaded:
         options: of the caller and the folder.
         label: of this part of the file, or empty.
         rows: their rows in the table, or None for all.
+        stands: rows of the log for which each value of the output stands; 1 where the log is not faster than the bus.
     """
 
     table: Table
@@ -43,6 +44,7 @@ class Loaded:
     options: ReadOptions
     label: str = ""
     rows: np.ndarray | None = None
+    stands: float = 1.0
 
     def place(self, sample: int) -> str:
         """Describe a sample for a message: its number and, in a text file, its line."""
@@ -179,17 +181,17 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
                 loaded[quantity] = base if scale is None else base * scale
     if "time" in chosen:
         chosen = chosen | {"time": _timed(table, chosen["time"], loaded, count, options)}
-    rows = None
+    rows, stands = None, 1.0
     if "voltage" in chosen and "time" in chosen:
         loaded, rows, fraction = hold_sparse(loaded)
         if rows is not None:
             note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
             chosen = chosen | {"voltage": chosen["voltage"].noted(note)}
         elif "displacement" in loaded:
-            loaded, rows, chosen = _as_refreshed(loaded, chosen)
+            loaded, rows, chosen, stands = _as_refreshed(loaded, chosen)
     if "time" in chosen and chosen["time"].place is not None:
         loaded, rows = _without_empty_rows(loaded, rows)
-    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows)
+    return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows, stands=stands)
 
 
 def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tuple[dict, dict[str, Choice]]:
@@ -205,14 +207,14 @@ def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tupl
     return values, chosen
 
 
-def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.ndarray | None, dict[str, Choice]]:
+def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.ndarray | None, dict[str, Choice], float]:
     """Return the recording at the rate of its output's refreshes, if the log is faster than the bus behind it."""
     time, voltage, output = (loaded[q] for q in ("time", "voltage", "displacement"))
     if not len(time) == len(voltage) == len(output) or not (np.diff(time) > 0).all() or not np.isfinite(voltage).all():
-        return loaded, None, chosen
+        return loaded, None, chosen, 1.0
     found = refreshed(output)
     if found is None:
-        return loaded, None, chosen
+        return loaded, None, chosen, 1.0
     at, period = found
     rows = np.ceil(at - 1e-6).astype(int)
     clock = np.interp(at, np.arange(len(time)), time)
@@ -220,7 +222,7 @@ def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.nda
     held["voltage"] = mean_of_held(time, voltage, np.append(clock, 2 * clock[-1] - clock[-2]))
     rate = (len(clock) - 1) / (clock[-1] - clock[0])
     note = f"each value stands {period:.3g} rows: read at its own rate of {rate:.4g} Hz"
-    return held, rows, chosen | {"displacement": chosen["displacement"].noted(note)}
+    return held, rows, chosen | {"displacement": chosen["displacement"].noted(note)}, period
 
 
 def _values(

@@ -11,7 +11,7 @@ import math
 import os
 import re
 import tomllib
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from fnmatch import fnmatch
 from glob import escape
 from pathlib import Path
@@ -30,52 +30,57 @@ def option_of(name: str) -> str:
     return _RANGE.get(name, name.replace("_", "-"))
 
 
+_LENGTHS, _VOLTS = "m|mm|um|cm|nm", "V|kV|mV"
+_OTHERS = (
+    "A|mA, N|kN|N m, bar|kPa|MPa|psi, rad|deg|rev, rad/s|deg/s|rpm, m/s|m/s2, counts|percent, another of SI symbols (W)"
+)
+_INPUT_UNIT = f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"
+_OUTPUT_UNIT = f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"
+
+
+def _option(placeholder: str, kind: str, help_: str) -> Any:
+    return field(default=None, metadata={"placeholder": placeholder, "kind": kind, "help": help_})
+
+
 @dataclass(frozen=True)
 class ReadOptions:
     """Options of reading that the user states; None lets the file decide.
 
-    Attributes:
-        time_column, input_column, output_column: exact headers, or numbers of columns from 1.
-        time_unit, input_unit, output_unit: units of these columns, instead of the file's.
-        input_scale: of the input column (an amplifier's monitor of 1 V per kV: 1000).
-        output_scale: m per V of the output column (a laser of 2 mm per V: 0.002); of a length, a plain factor.
-        input_offset, output_offset: subtracted from the columns in the numbers of the file, before the scale (2048).
-        rate: samples per second of files without time, or instead of any clock.
-        header_line: the line that names the columns, counted from 1 with comments and blanks.
-        units_line: the line that holds the units, or "none".
-        separator, decimal, encoding: of text.
-        sheet: of a workbook.
-        split_by: a column, "sheet" or "group": a record for each of its values.
-        from_s, to_s: the range of time of every recording, in s after its first row.
-        join: files with the other columns of the same rows, if time, input and output are in separate files.
-        joint: of the joints that `each` in `pitp.toml` names, the one to read.
+    Each field states its placeholder, kind and help on the command line, which are made from this table, as the keys of
+    `pitp.toml` are.
 
     Raises:
         BadInput: an unknown unit, a scale of zero, a rate that is not positive, all of them at once.
     """
 
-    time_column: str | None = None
-    input_column: str | None = None
-    output_column: str | None = None
-    time_unit: str | None = None
-    input_unit: str | None = None
-    output_unit: str | None = None
-    input_scale: float | None = None
-    output_scale: float | None = None
-    input_offset: float | None = None
-    output_offset: float | None = None
-    rate: float | None = None
-    header_line: int | None = None
-    units_line: str | None = None
-    separator: str | None = None
-    decimal: str | None = None
-    encoding: str | None = None
-    sheet: str | None = None
-    split_by: str | None = None
-    from_s: float | None = None
-    to_s: float | None = None
-    join: tuple[str, ...] | None = None
-    joint: str | None = None
+    time_column: str | None = _option("NAME", "text", "time column: its exact header, or its number counted from 1")
+    input_column: str | None = _option("NAME", "text", "input column: its exact header or its number")
+    output_column: str | None = _option("NAME", "text", "output column: its exact header or its number")
+    time_unit: str | None = _option("UNIT", "text", "unit of the time, overrides the file: s|ms|us|ns|min|h|d")
+    input_unit: str | None = _option("UNIT", "text", _INPUT_UNIT)
+    output_unit: str | None = _option("UNIT", "text", _OUTPUT_UNIT)
+    input_scale: float | None = _option("S", "factor", "factor of the input column to V (monitor of 1 V per kV: 1000)")
+    output_scale: float | None = _option("S", "factor", "factor of the output column to m (2 mm per V: 0.002)")
+    input_offset: float | None = _option("U", "number", "subtracted from the input column, in the file's numbers")
+    output_offset: float | None = _option("Y", "number", "subtracted from the output column, in the file's numbers")
+    rate: float | None = _option(
+        "HZ", "positive", "samples per second: for files without a time column; overrides any other clock"
+    )
+    header_line: int | None = _option("N", "whole", "line with the column names, counted from 1")
+    units_line: str | None = _option("N|none", "text", "line with the units, counted from 1")
+    separator: str | None = _option("CHAR", "text", "separator of text files: a character, tab or blank")
+    decimal: str | None = _option(".|,", "text", "decimal mark of text files")
+    encoding: str | None = _option("NAME", "text", "encoding of text files: utf-8, cp1252, cp932, gb18030, ...")
+    sheet: str | None = _option("NAME", "text", "sheet of a workbook")
+    split_by: str | None = _option(
+        "COLUMN|sheet|group", "text", "several runs or joints in one file: split it by this column into recordings"
+    )
+    from_s: float | None = _option("S", "seconds", "use only the part from S on, in s after the first row")
+    to_s: float | None = _option("S", "seconds", "use only the part up to S, in s after the first row")
+    join: tuple[str, ...] | None = _option(
+        "FILE", "files", "further files with columns of the same rows (time, input and output in separate files)"
+    )
+    joint: str | None = _option("", "", "of the joints that `each` in `pitp.toml` names, the one to read")
 
     def __post_init__(self):
         """Refuse options with which no file could be read."""

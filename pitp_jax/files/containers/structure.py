@@ -92,7 +92,8 @@ def _apart(values: np.ndarray, within: np.ndarray) -> bool:
 def _step(after: np.ndarray, before: np.ndarray) -> float:
     """Return the mean size of the steps between two arrays, of the finite ones; 0 without any."""
     finite = np.isfinite(after) & np.isfinite(before)
-    return float(np.abs(after[finite] - before[finite]).mean()) if finite.any() else 0.0
+    with np.errstate(over="ignore"):  # numbers near the largest float are refused later
+        return float(np.abs(after[finite] - before[finite]).mean()) if finite.any() else 0.0
 
 
 def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:

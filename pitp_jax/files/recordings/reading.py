@@ -20,7 +20,7 @@ from ...common.errors import BadInput, cleaned, refuse_traced
 from ...common.units import base_unit, from_base
 from ...method.signal.checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
 from ...method.signal.record import Record, Timed, own_column, range_in
-from ...method.signal.sets import check_set
+from ...method.signal.sets import RATE_TOLERANCE, check_set
 from ..containers.columns import Loaded, load_columns
 from ..containers.formats import SUFFIXES, is_bag, split_suffix, unread
 from ..containers.options import FOLDER_FILE as FOLDER_FILE
@@ -79,14 +79,9 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     Args:
         *paths: files (text, `.xlsx`, `.mat`, `.npz`, `.h5`, `.tdms`, `.parquet`, `.mcap`), rosbag2 folders, and
             folders of them.
-        **said: by name, all optional. `time_column`, `input_column`, `output_column`: exact headers. `time_unit`,
-            `input_unit`, `output_unit`: instead of the file's. `input_scale`: of an amplifier's monitor (1 V per kV:
-            1000). `output_scale`: m per V of a sensor (2 mm per V: 0.002). `rate`: samples per second, for files
-            without time, or instead of any clock. `header_line`: the line that names the columns, from 1. `units_line`:
-            the line of units, or "none". `separator`, `decimal`, `encoding`: of text. `sheet`: of a workbook.
-            `split_by`: a column, "sheet" or "group", for several runs in one file. `join`: files with the other
-            columns, if time, input and output are in separate files. `joint`: one of those that `each` in `pitp.toml`
-            names. `from_s`, `to_s`: a range of time of each recording, in s after its first row.
+        **said: by name, all optional: the fields of `ReadOptions`, which are the options of the command line with `_`
+            for `-` (`time_column`, `input_unit`, `output_scale`, `input_offset`, `rate`, `split_by`, `join`, ...);
+            `from_s` and `to_s` are a range of time, `joint` is one of those that `each` in `pitp.toml` names.
 
     Returns:
         the records, in the order given, in base units (s, V, m, rad, ...); missing output is nan. `recognised`
@@ -188,6 +183,13 @@ def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Bad
         dt = even[0] if even else float(np.median([groups[k][0].dt for k in uneven]))
         for k in uneven:
             groups[k] = _records(*sources[k], 1 / dt)
+    # a slow motion may not show that its values stand, but another recording of the same log does
+    slow = next((k for k, source in enumerate(sources) if source[2].stands > 1), None)
+    if slow is not None:
+        dt, stands = groups[slow][0].dt, sources[slow][2].stands
+        for k, (_, _, one) in enumerate(sources):
+            if one.stands == 1 and abs(groups[k][0].dt * stands / dt - 1) < RATE_TOLERANCE:
+                groups[k] = _records(*sources[k], 1 / dt)
     return _unique([record for group in groups for record in group]), refused, files
 
 
