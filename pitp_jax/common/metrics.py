@@ -137,16 +137,16 @@ def rmhe_percent(
     if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:
         return float("nan")
     # edges of the polygon; the last one closes it
-    left, right = across, np.roll(across, -1)
+    start, end = across, np.roll(across, -1)
     bottom, top = up, np.roll(up, -1)
-    low, high = np.minimum(left, right), np.maximum(left, right)
-    slope = (top - bottom) / np.where(right == left, 1.0, right - left)
+    low, high = np.minimum(start, end), np.maximum(start, end)
+    slope = (top - bottom) / np.where(end == start, 1.0, end - start)
     widest = 0.0
     # between the extremes: at these the loop turns, and has no width
     for level in np.linspace(across.min(), across.max(), levels + 2)[1:-1]:
         # edges that cross this level; a vertical one crosses it at no single place
-        crossed = (low <= level) & (level <= high) & (left != right)
-        at = bottom[crossed] + slope[crossed] * (level - left[crossed])
+        crossed = (low <= level) & (level <= high) & (start != end)
+        at = bottom[crossed] + slope[crossed] * (level - start[crossed])
         widest = max(widest, float(np.ptp(at)) if at.size else 0.0)
     return _percent(widest, float(np.ptp(up)))
 

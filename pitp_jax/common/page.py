@@ -62,7 +62,7 @@ class Table:
         note: how the rows are sorted, and what a reader must know; written above the rows.
         bold: of each row, whether it is written in bold; empty: of none.
         text: numbers of the columns that hold text, which is aligned on the left.
-        left_out: a column with only such cells is left out.
+        omitted: a column with only such cells is left out.
     """
 
     header: Sequence[str]
@@ -70,7 +70,7 @@ class Table:
     note: str = ""
     bold: Sequence[bool] = ()
     text: Sequence[int] = (0,)
-    left_out: Sequence[str] = _UNKNOWN
+    omitted: Sequence[str] = _UNKNOWN
 
     def cells(self, write: Callable[[float | None], str] = figure) -> list[tuple[str, ...]]:
         """Return the rows as text; `write` rounds a number."""
@@ -79,7 +79,7 @@ class Table:
     def html(self) -> str:
         """Write the table, never wider than the page; on a narrow page each row is a list of named values."""
         rows = self.cells()
-        shown = [k for k in range(len(self.header)) if any(row[k] not in self.left_out for row in rows)]
+        shown = [k for k in range(len(self.header)) if any(row[k] not in self.omitted for row in rows)]
         css = ["text" if k in self.text else "" for k in range(len(self.header))]
         head = "".join(tag("th", self.header[k], css[k]) for k in shown)
         body = []

@@ -96,8 +96,8 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
         raise BadInput(f"no recording of the simulator has the same command as one of the robot; {name}: {why}")
     say = options["progress"]
     say("identifying the simulator")
-    found, own, gap = simplest_model(simulated, real)
-    nominal = found.model
+    identified, own, gap = simplest_model(simulated, real)
+    nominal = identified.model
     simulator = None
     if own > _PART * gap:
         say("diagnosing the simulator's own recordings")
@@ -112,7 +112,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     share = min((own / robot_gap) ** 2, 1.0)
     say("correction signals")
     return SimToReal(
-        robot=robot, simulator=simulator, identification=found, nominal=nominal, pairs=pairs,
+        robot=robot, simulator=simulator, identification=identified, nominal=nominal, pairs=pairs,
         parameters=parameters(nominal, robot, real, position_gain),
         simulator_share=(share, 0.5 * share, min(2.0 * share, 1.0)),
         records=tuple(real), corrections=tuple(corrections(nominal, real)),
@@ -148,6 +148,6 @@ def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
     return float(np.sqrt(np.mean(squares)))
 
 
-def with_lineage(found: SimToReal) -> Fitted:
+def with_lineage(result: SimToReal) -> Fitted:
     """Return the diagnosed model with the robot's recordings added to its lineage."""
-    return descended(found.model, "diagnose against a simulator", found.records, found.nominal)
+    return descended(result.model, "diagnose against a simulator", result.records, result.nominal)

@@ -69,57 +69,54 @@ class SimToReal:
     def budget(self) -> dict[str, Any]:
         """Return the parts of the error by cause, with the part due to the simulator's linear model."""
         share, low, high = self.simulator_share
-        told = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
-        left = share
-        for key in ("unexplainable", "unnamed"):
-            if key in told:
-                taken = min(left, max(told[key]["share"], 0.0))
-                told[key]["share"] -= taken
-                left -= taken
-        return told | {"simulator": {"share": share - left, "ci95": [low, high]}}
+        parts = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
+        rest = share
+        for key in (k for k in ("unexplainable", "unnamed") if k in parts):
+            taken = min(rest, max(parts[key]["share"], 0.0))
+            parts[key]["share"] -= taken
+            rest -= taken
+        return parts | {"simulator": {"share": share - rest, "ci95": [low, high]}}
 
     def lines(self) -> list[str]:
         """Write the parameters that differ, and remarks for the user, one sentence each."""
-        found = []
+        changes = []
         for p in self.parameters:
             if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
                 error += "" if p.determined else " (these recordings do not determine it)"
                 names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
-                found.append(
-                    f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
-                    f"{f' ({names})' if names else ''}"
-                )
+                line = f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
+                changes.append(f"{line} ({names})" if names else line)
         gain, notes = _gain_lines(self.parameters), SimToReal.remarks(self)
-        return [*gain, *found, *notes[len(gain) :]]
+        return [*gain, *changes, *notes[len(gain) :]]
 
     def remarks(self) -> list[str]:
         """Write remarks for the user on the parameters, one sentence each."""
-        found = _gain_lines(self.parameters)
+        texts = _gain_lines(self.parameters)
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
-            found.append(
+            texts.append(
                 f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
                 f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
             )
         if self.simulator_share[0] >= 0.05:
-            found.append(
+            texts.append(
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
             )
         missed = self.identification.chosen.heldout
         if missed >= _SEVERAL:
-            found.append(
+            texts.append(
                 f"One linear model leaves {missed:.2g} % of the simulator's recordings unexplained. If they were "
                 "simulated with several loads or gains, put those of each into a folder of its own."
             )
-        return [*found, *self.pairs.remarks("robot", "simulator")]
+        return [*texts, *self.pairs.remarks("robot", "simulator")]
 
     def __repr__(self) -> str:
         """Write verdict and parameters in at most ten lines."""
-        told = self.lines()
-        more = [f"  and {len(told) - 7} more"] if len(told) > 8 else []
+        text = self.lines()
+        more = [f"  and {len(text) - 7} more"] if len(text) > 8 else []
         head = f"SimToReal, {str(self.robot).splitlines()[0]}"
-        return "\n".join([head, *(f"  {line}" for line in told[: 7 if more else 8]), *more])
+        return "\n".join([head, *(f"  {line}" for line in text[: 8 - len(more)]), *more])
 
     def __str__(self) -> str:
         """Write verdict, parameters and remarks for the terminal."""
@@ -183,9 +180,9 @@ class SimToReal:
             for p in self.pairs.pairs
         ]
         unmatched = {"robot": dict(self.pairs.first_alone), "simulated": dict(self.pairs.second_alone)}
-        told = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
+        more = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
                 "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip
-        return self.robot.as_json(csv) | told
+        return self.robot.as_json(csv) | more
 
 
 def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:

@@ -63,7 +63,7 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
         return _NOTHING, _NOTHING
     lags, rho = _correlation(x, y)
     overlap = np.minimum(len(x), lags + len(y)) - np.maximum(0, lags)
-    found = []
+    alignments = []
     for sign in (1, -1):
         signed = sign * rho
         good = np.flatnonzero(signed >= signed.max() - _EQUAL)
@@ -72,8 +72,8 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
         at = int(at + np.argmax(signed[max(at - 2, 0) : at + 3]) - min(at, 2))
         offset = float(a.time[0] - b.time[0] + lags[at] * dt)  # of clocks: lags count samples from both starts
         coarse = Alignment(float(rho[at]), offset, np.inf, np.inf)
-        found.append(_refined(a, b, coarse, sign) if signed[at] >= _WORTH_REFINING else coarse)
-    return found[0], found[1]
+        alignments.append(_refined(a, b, coarse, sign) if signed[at] >= _WORTH_REFINING else coarse)
+    return alignments[0], alignments[1]
 
 
 def _on_grid(record: Record, dt: float) -> np.ndarray:

@@ -7,9 +7,6 @@ stroke, so its responses are compared instead (`behaviour`). Coefficients of dif
 beyond a_0; then the modes are compared instead.
 """
 
-from typing import Any
-
-from ...common.numbers import number
 from ...files.model_file.model_file import digest
 from ...method.model.fitted import Fitted
 from ...method.model.units import base_units, units_of
@@ -106,7 +103,7 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
 
 
 def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
-    """Write lines on what the models were made from: parents, recordings of one or both, adaptations."""
+    """Write lines on what the models were made from: parents, and recordings of one or both."""
     # by their checksums, because two rigs may use the same names
     sums: list[dict[str, str]] = [
         {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
@@ -123,14 +120,5 @@ def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
         only = [name for s, name in mine.items() if s not in sums[1 - k]]
         if only:
             lines.append(f"Only {names[k]} saw {', '.join(only)}.")
-        lines += [f"{names[k]} was adapted: {_adapted(entry)}." for entry in (a, b)[k].origin.adapted
-                  if entry not in (a, b)[1 - k].origin.adapted]  # fmt: skip
     both = [name for s, name in sums[0].items() if s in sums[1]]
     return [*lines, *([f"Both saw {', '.join(both)}."] if both else [])]
-
-
-def _adapted(entry: dict[str, Any]) -> str:
-    return ", ".join(
-        f"{name} times {number(c['factor'])} ({' to '.join(number(end) for end in c['ci95'])})"
-        for name, c in entry["changed"].items()
-    )

@@ -217,14 +217,14 @@ class _Table:
 
     def undecided(self, chosen: set[tuple[int, int]]) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
         """Return the pairs that are uncertain, because another recording has the same command and response."""
-        found = []
+        uncertain = []
         for i, j in sorted(chosen):
             slack = self.noise[0][i] + self.noise[1]
             as_near = self.near[i] & (np.abs(self.distance[i] - self.distance[i, j]) <= slack)
             others = [self.others[k].name for k in np.flatnonzero(as_near).tolist() if (i, k) not in chosen]
             if others:
-                found.append((self.mine[i].name, self.others[j].name, tuple(others)))
-        return tuple(found)
+                uncertain.append((self.mine[i].name, self.others[j].name, tuple(others)))
+        return tuple(uncertain)
 
 
 def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
@@ -234,17 +234,17 @@ def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
 
 def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:
     """Pair the remaining recordings of the first set with the counterpart of the recording that they repeat."""
-    found = set()
+    repeats = set()
     for i in sorted(set(range(len(table.mine))) - {i for i, _ in chosen}):
         fitting = np.flatnonzero(table.near[i]).tolist()
         if shared and len(fitting) == 1:
-            found.add((i, fitting[0]))
+            repeats.add((i, fitting[0]))
             continue
         mates = [(table.apart(i, k, j), k, j) for k, j in chosen if j in fitting]
         if mates:
             apart, k, j = min(mates)
-            found |= {(i, j)} if apart <= table.distance[k, j] else set()
-    return found
+            repeats |= {(i, j)} if apart <= table.distance[k, j] else set()
+    return repeats
 
 
 def _noise(records: Sequence[Record]) -> np.ndarray:

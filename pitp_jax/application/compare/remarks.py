@@ -44,10 +44,10 @@ def _listed(names: Sequence[str], separator: str = ", ") -> str:
 def _of_ties(pairing: "Pairing", first: str, second: str) -> list[str]:
     lines = []
     for side, groups in ((first, pairing.repeated[0]), (second, pairing.repeated[1])):
-        told = _listed([", ".join(group) for group in groups], "; ")
+        words = _listed([", ".join(group) for group in groups], "; ")
         if groups:
             lines.append(
-                f"Several recordings of the {side} have the same command ({told}) and were paired by their responses."
+                f"Several recordings of the {side} have the same command ({words}) and were paired by their responses."
             )
     for name, partner, others in pairing.undecided[:_LISTED]:
         lines.append(
@@ -63,9 +63,9 @@ def _of_signs(pairing: "Pairing", second: str) -> list[str]:
         return []
     what = " and ".join(word for word, turned in (("command", command), ("output", output)) if turned)
     rho = min(p.correlation for p in pairing.pairs)
-    told = f" (correlation of the commands {rho:.3f})" if command else ""
+    words = f" (correlation of the commands {rho:.3f})" if command else ""
     return [
-        f"The {what} of the {second} have the opposite sign (a mirrored axis{told}) and were inverted for this "
+        f"The {what} of the {second} have the opposite sign (a mirrored axis{words}) and were inverted for this "
         f"comparison. To invert them in every command, put {' and '.join(f'{key} = -1' for key in keys)} below "
         f'["*"] in the pitp.toml of one set (options: {" ".join(f"--{key} -1" for key in keys)}).'
     ]

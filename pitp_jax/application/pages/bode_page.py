@@ -73,15 +73,14 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
 
 
 def _bode(fits: Identification) -> Picture:
-    axes, r, seen = new_axes(3, 6.6, (2, 2, 1)), fits.response, fits.response.coherent
+    axes, r = new_axes(3, 6.6, (2, 2, 1)), fits.response
+    seen = r.coherent & (2 * r.stderr < np.abs(r.value))  # the others would stretch the axis over decades
     units = units_of(fits.model)
     per_unit = units.force_factor / units.si.factor  # the response is in base units
     hz, value, error = r.hz[seen], per_unit * r.value[seen], 2 * per_unit * r.stderr[seen]
     if len(hz):
         grid, size = np.geomspace(hz.min(), hz.max(), 300), np.abs(value)
-        lowest = np.maximum(size - error, 1e-3 * size)
-        # a frequency whose error exceeds its response would stretch the axis over decades
-        axes[0].fill_between(hz, lowest, np.minimum(size + error, 2 * size.max()), color=MEASURED, alpha=0.4)
+        axes[0].fill_between(hz, size - error, size + error, color=MEASURED, alpha=0.4)
         _response(axes, hz, value, ".", ms=3, color=MEASURED, label="measured")
         for fit, color in zip(fits.orders, CYCLE, strict=False):
             width = 1.8 if fit is fits.chosen else 0.8

@@ -77,7 +77,7 @@ def table(plan: Plan) -> Table:
         strokes = (float(stroke.shown(r.stroke)), float(stroke.shown(r.stroke_half_damped)))
         bound = None if r.go_on == np.inf else float(stroke.shown(r.go_on))
         rows.append((r.name, r.kind, r.seconds, r.rest, *inputs, *strokes, bound, r.purpose))
-    return Table(header, rows, "In the order to play.", text=(0, 1, 9), left_out=("–", "", "0"))
+    return Table(header, rows, "In the order to play.", text=(0, 1, 9), omitted=("–", "", "0"))
 
 
 def _reading(plan: Plan) -> list[str]:
