@@ -2,6 +2,7 @@
 
 import runpy
 import sys
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -10,8 +11,11 @@ import numpy as np
 import pytest
 from matplotlib import rcParams
 from matplotlib.figure import Figure
+from test_compare import machine
 from typed import some
 
+import pitp_jax as pitp
+from pitp_jax.application.pages.bode_page import bode
 from pitp_jax.application.pages.drawing import beside, some_periods
 from pitp_jax.common.picture import BINS, finish, new_axes, shrink, thin
 
@@ -203,3 +207,15 @@ def test_time_counts_from_the_start_and_the_error_of_every_run_is_drawn():
     assert upper.lines[0].get_xdata()[0] == 0 and lower.get_xlabel() == "time from the start (s)"
     assert len(upper.lines) == 3 and len(lower.lines) == 2
     np.testing.assert_allclose(lower.lines[0].get_ydata(), X)
+
+
+@pytest.mark.slow
+def test_a_response_without_information_does_not_stretch_the_axis():
+    """One frequency with an error of its own size made the axis of a response eight decades high."""
+    fits = pitp.identify(machine(), order=2, input_map="linear")
+    value, stderr = fits.response.value.copy(), fits.response.stderr.copy()
+    at = np.flatnonzero(fits.response.coherent)[3]
+    value[at] *= 1e8
+    stderr[at] = abs(value[at])
+    upper = bode(replace(fits, response=replace(fits.response, value=value, stderr=stderr))).drawn.axes[0]
+    assert max(np.max(line.get_ydata()) for line in upper.lines) < 1e3

@@ -30,7 +30,7 @@ def bode_page(fits: Identification, name: str) -> str:
     return Page(
         f"Order {chosen.order}, {hold}{delay}",
         f"Identification of {name} on {count} recording{'s'[: count != 1]}",
-        [_why(fits), sensor_line(fits.model), *fits.remarks, [_bode(fits), _residuals(fits)]],
+        [_why(fits), sensor_line(fits.model), *fits.remarks, [bode(fits), _residuals(fits)]],
         [
             Section("Orders compared", [Table(header, orders, "By order; bold: chosen.", bold, (0, 1))]),
             Section("Poles of the model", [_poles(chosen)]),
@@ -72,7 +72,8 @@ def response_of(fit: OrderFit, hz: np.ndarray) -> np.ndarray:
     return fit.polarity * np.exp(-s * fit.delay) / np.polyval(fit.coefficients[::-1], s)
 
 
-def _bode(fits: Identification) -> Picture:
+def bode(fits: Identification) -> Picture:
+    """Draw the measured frequency response, the models of each order, and the coherence."""
     axes, r = new_axes(3, 6.6, (2, 2, 1)), fits.response
     seen = r.coherent & (2 * r.stderr < np.abs(r.value))  # the others would stretch the axis over decades
     units = units_of(fits.model)
