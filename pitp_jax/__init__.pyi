@@ -1,4 +1,5 @@
 from .application.against.entry import diagnose as diagnose
+from .application.against.mjcf import write_mjcf as write_mjcf
 from .application.against.result import SimToReal as SimToReal
 from .application.check.check import Check as Check
 from .application.check.check import CheckedRecord as CheckedRecord
@@ -26,10 +27,8 @@ from .files.export.pi_gains import pi_gains as pi_gains
 from .files.mjcf.verify import Verification as Verification
 from .files.mjcf.verify import verify_mjcf as verify_mjcf
 from .files.mjcf.write import Written as Written
-from .files.mjcf.write import write_mjcf as write_mjcf
 from .files.model_file.model_file import load as load
 from .files.model_file.model_file import save as save
-from .files.recordings.reading import Target as Target
 from .files.recordings.reading import read as read
 from .files.recordings.reading import read_target as read_target
 from .files.recordings.voltage_file import Drive as Drive
@@ -43,14 +42,13 @@ from .method.invert.discrete import discrete_inverse as discrete_inverse
 from .method.invert.feedforward_plan import Feedforward as Feedforward
 from .method.invert.feedforward_plan import feedforward as feedforward
 from .method.invert.inverse import inverse as inverse
+from .method.invert.inverse import sharded_inverse as sharded_inverse
 from .method.invert.pi_control import pi_trim as pi_trim
 from .method.invert.realtime import CompiledStep as CompiledStep
 from .method.invert.realtime import decoder_step as decoder_step
 from .method.invert.realtime import inverse_step as inverse_step
 from .method.invert.realtime import restore_step as restore_step
 from .method.invert.stream import invert_stream as invert_stream
-from .method.invert.tokens import memory_along as memory_along
-from .method.invert.tokens import tokens_along as tokens_along
 from .method.model.domain import Domain as Domain
 from .method.model.drive import DirectDrive as DirectDrive
 from .method.model.drive import ElectrodeLag as ElectrodeLag
@@ -70,9 +68,11 @@ from .method.model.model import Scales as Scales
 from .method.model.model import linear_model as linear_model
 from .method.model.own_encoder import OwnEncoder as OwnEncoder
 from .method.signal.record import Record as Record
+from .method.signal.target import Target as Target
+from .method.simulate.along import memory_along as memory_along
+from .method.simulate.along import tokens_along as tokens_along
 from .method.simulate.decoder import rest_state as rest_state
 from .method.simulate.devices import records_mesh as records_mesh
-from .method.simulate.devices import sharded_inverse as sharded_inverse
 from .method.simulate.devices import sharded_rollout as sharded_rollout
 from .method.simulate.free_run import free_run as free_run
 from .method.simulate.prediction import Prediction as Prediction

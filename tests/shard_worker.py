@@ -23,7 +23,6 @@ from pitp_jax.method.simulate.devices import (
     local_rows,
     over_records,
     records_mesh,
-    sharded_inverse,
     sharded_rollout,
     spread,
 )

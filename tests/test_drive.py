@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from scipy.signal import lsim
 
 from pitp_jax.common.metrics import e_rms_percent
-from pitp_jax.files.recordings.reading import Target
 from pitp_jax.method.invert.feedforward_plan import feedforward
 from pitp_jax.method.model.drive import DirectDrive, ElectrodeLag
+from pitp_jax.method.signal.target import Target
 from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 DT = 1e-3

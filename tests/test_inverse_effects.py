@@ -8,10 +8,10 @@ import pytest
 from motions import DT
 
 from pitp_jax.common.metrics import e_rms_percent
-from pitp_jax.files.recordings.reading import Target
 from pitp_jax.method.effects import effect, lookup
 from pitp_jax.method.invert.feedforward_plan import feedforward
 from pitp_jax.method.signal.record import Record
+from pitp_jax.method.signal.target import Target
 from pitp_jax.method.simulate.decoder import rest_state, rollout
 from pitp_jax.method.simulate.prediction import predict
 

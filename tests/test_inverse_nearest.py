@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from motions import DT, TIME, hump, swing
 from scipy.optimize import lsq_linear, minimize
 
-from pitp_jax.files.recordings.reading import Target
 from pitp_jax.method.effects import effect
 from pitp_jax.method.invert import change_programme
 from pitp_jax.method.invert.change_programme import _Cut, _readings
@@ -23,6 +22,7 @@ from pitp_jax.method.invert.self_check import play
 from pitp_jax.method.invert.stage_qp import StageQP, solve_stage_qp
 from pitp_jax.method.model.drive import ElectrodeLag
 from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.signal.target import Target
 from pitp_jax.method.simulate.decoder import rest_state, rollout
 
 

@@ -9,16 +9,8 @@ PACKAGE = Path(pitp_jax.__file__).parent
 STOREYS = ("common", "method", "files", "application")  # each imports itself and those before it
 ROOMS = ("numerics", "signal", "model", "effects", "simulate", "fit")  # inside `method`, likewise; the methods follow
 EXCEPTIONS = {  # may only shrink
-    ("files.mjcf.write", "application.against.result"),
-    ("method.fit.free_run_problem", "method.train.creep_balance"),
-    ("method.invert.advice", "files.recordings.reading"),
-    ("method.invert.feedforward_plan", "files.recordings.reading"),
-    ("method.invert.motion", "files.recordings.reading"),
-    ("method.invert.target", "files.recordings.reading"),
     ("method.model.lineage", "files.model_file.model_file"),
-    ("method.simulate.devices", "method.invert.equation"),
     ("method.train.ensemble", "files.model_file.model_file"),
-    ("method.train.residual", "method.invert.tokens"),
 }
 
 

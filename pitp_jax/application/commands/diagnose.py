@@ -13,7 +13,7 @@ from ...common.errors import BadInput
 from ...common.units import column_name, from_base
 from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
-from ...files.mjcf.write import identified_name, write_mjcf
+from ...files.mjcf.write import identified_name
 from ...files.model_file.model_file import save
 from ...files.recordings.writing import write_csv, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
@@ -21,6 +21,7 @@ from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
 from ..against.entry import with_lineage
+from ..against.mjcf import write_mjcf
 from ..against.result import SimToReal
 from ..pages.against import figures as figures_beside
 from ..pages.against import page

@@ -21,7 +21,7 @@ from ..plant.physics import Plant
 from ..plant.virtual_actuator import plant as virtual_actuator
 from ..plant.virtual_actuator import record, simulate
 from ..plan.excitation import Excitation, protocol, sine, sweep
-from ...files.recordings.reading import Target
+from ...method.signal.target import Target
 from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction, predict
 from ...method.train.settings import PRESETS

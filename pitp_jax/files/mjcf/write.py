@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from ...application.against.result import SimToReal
 from ...common.errors import BadInput, cleaned
 from ...common.numbers import number
 from ...common.units import base_unit
-from ...method.diagnose.joint import Parameter, parameters
+from ...method.diagnose.joint import Parameter
 from ...method.model.lineage import sums
 from ...method.signal.record import Record
 from ..recordings.writing import write_bytes_atomic, write_text_atomic
@@ -67,48 +66,19 @@ class Written:
         }  # fmt: skip
 
 
-def write_mjcf(
-    found: SimToReal, mjcf: str | Path, joint: str, out: str | Path, *, actuator: str | None = None
-) -> Written:
-    """Write the identified parameters of the robot into a copy of the simulator's MuJoCo file.
-
-    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF. The changed attributes are joint
-    `armature`, `damping`, `stiffness`, `frictionloss`, `range`; actuator `kp` or `gear`, `ctrlrange`, `forcerange`, and
-    `delay` with `nsample` and `timeconst` if the installed MuJoCo knows them. Each change has a comment with the old
-    value, the new one and its 95 % interval.
-
-    Args:
-        found: `diagnose(robot, against=simulated)`, the simulated recordings made with this file.
-        mjcf: the file.
-        joint: whose motion was recorded.
-        out: folder for `NAME_identified.xml`, its includes and meshes; or the file itself to write.
-        actuator: the commanded one, if several act on the joint.
-
-    Returns:
-        the changes, and the parameters that could not be written.
-
-    Raises:
-        BadInput: MuJoCo is not installed or refuses a file; no such joint or actuator, or several.
-
-    Examples:
-        >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
-        >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
-    """
-    told = parameters(found.nominal, found.robot, found.records, None)
-    return write_numbers(told, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
-
-
 def write_numbers(
     told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
     out: str | Path, actuator: str | None = None,
 ) -> Written:  # fmt: skip
     """Write a table of parameters into a copy of a MuJoCo file.
 
+    Text files beside it hold the same parameters for Isaac Lab, Newton and URDF.
+
     Args:
         told: parameters of the simulator and the robot, in the command's unit.
         records: of the robot.
         simulator: its coefficients a_i, shape (order + 1,).
-        mjcf, joint, out, actuator: as for `write_mjcf`.
+        mjcf, joint, out, actuator: file, joint, folder or new file, and actuator, if several act on the joint.
     """
     document = read_document(mjcf)
     it = joint_of(document, joint, actuator)

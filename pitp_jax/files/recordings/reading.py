@@ -9,18 +9,19 @@ The name of a record is its file name without the suffix; where names collide in
 import os
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from glob import glob
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ...common.errors import BadInput, cleaned, refuse_traced
+from ...common.errors import BadInput, cleaned
 from ...common.units import base_unit, from_base
 from ...method.signal.checks import MIN_SAMPLES, TIME_TOLERANCE, check_samples, check_wanted
-from ...method.signal.record import Record, Timed, own_column, range_in
+from ...method.signal.record import Record
 from ...method.signal.sets import RATE_TOLERANCE, check_set
+from ...method.signal.target import Target
 from ..containers.columns import Loaded, load_columns
 from ..containers.formats import SUFFIXES, is_bag, split_suffix, unread
 from ..containers.options import FOLDER_FILE as FOLDER_FILE
@@ -36,37 +37,6 @@ from .turns import unwrap
 
 _NOTES = ("readme", "notes", "note", "license", "licence", "info")
 _QUANTITIES = ("time", "voltage", "displacement")
-
-
-@dataclass(frozen=True, eq=False)
-class Target(Timed):
-    """A wanted motion over time, input of the inverse model.
-
-    Attributes:
-        time: sample times in s, shape (T,), uniform to 1 % of a sample.
-        displacement: wanted output in its base unit, shape (T,), no missing samples.
-        displacement_unit: unit it had in its file.
-        source: the file, for messages.
-
-    Raises:
-        BadInput: shapes differ, fewer than two samples, non-uniform time, a sample missing or infinite.
-    """
-
-    time: np.ndarray
-    displacement: np.ndarray
-    displacement_unit: str = "m"
-    source: str = ""
-
-    def __post_init__(self):
-        """Refuse a target with gaps or a non-uniform time (`read_target` names the column and the line as well)."""
-        refuse_traced("Target", "inverse with an array", self.time, self.displacement)
-        for field in ("time", "displacement"):
-            object.__setattr__(self, field, own_column(getattr(self, field), f"{self.source or 'target'}: {field}"))
-        check_wanted(self.time, self.displacement, self.source or "target")
-
-    def __repr__(self) -> str:
-        span = range_in(self.displacement, self.displacement_unit)
-        return f"Target({len(self.time)} samples at {1 / self.dt:.6g} Hz, {span})"
 
 
 def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:

@@ -9,6 +9,7 @@ mesh every device has its own runs; their derivatives stay there, and only sums 
 import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Protocol, runtime_checkable
 
 import equinox as eqx
 import jax
@@ -18,7 +19,6 @@ from jaxtyping import Array
 
 from ..model.model import Model
 from ..simulate.devices import over_records, spread
-from ..train.creep_balance import SlowBalance
 from .forward_sensitivity import Runs, run_errors, run_slopes
 from .lower_bound import UNBOUNDED, LowerBound
 from .parameters import with_parameters
@@ -39,6 +39,19 @@ class _OverRuns(eqx.Module):
         return self.function(model, runs, self.dt, self.every)
 
 
+@runtime_checkable
+class Rows(Protocol):
+    """Further residuals of a model, beside those of its simulations, shape (rows,)."""
+
+    def errors(self, model: Model) -> np.ndarray:
+        """Return the residuals."""
+        ...
+
+    def slopes(self, model: Model, count: int) -> np.ndarray:
+        """Return their derivatives by `count` trained parameters, shape (rows, count)."""
+        ...
+
+
 class FreeRuns:
     """Residuals and derivatives of batches of simulations, as blocks for `minimise.accelerated`.
 
@@ -49,7 +62,7 @@ class FreeRuns:
         every: the error is taken at every `every`-th sample.
         prior: rho and p_0 per trained parameter.
         bound: of the trained parameters; the optimiser sees its coordinates.
-        slow: the slow balance to be fitted as well.
+        slow: residuals to be fitted as well, as the slow balance of a training.
         mesh: devices that share every batch; default one device, or all cores of a CPU.
     """
 
@@ -62,7 +75,7 @@ class FreeRuns:
         *,
         prior: tuple[np.ndarray, np.ndarray],
         bound: LowerBound = UNBOUNDED,
-        slow: SlowBalance | None = None,
+        slow: Rows | None = None,
         mesh: Mesh | None = None,
     ):
         self._model, self._how, self._slow, self._mesh = model, (dt, every), slow, mesh

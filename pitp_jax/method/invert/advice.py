@@ -11,11 +11,11 @@ from scipy.ndimage import gaussian_filter1d
 
 from ...common.metrics import e_rms_percent
 from ...common.quantity import Units
-from ...files.recordings.reading import Target
 from ..model.coverage import target_words
 from ..model.fitted import Fitted
 from ..model.model import Model
 from ..signal.excited import Beyond
+from ..signal.target import Target
 from ..simulate.prediction import outside_words
 from .limits import Limits
 from .motion import Motion

@@ -13,13 +13,13 @@ import numpy as np
 
 from ...common.errors import BadInput, refuse_traced
 from ...common.shown import Shown
-from ...files.recordings.reading import Target
 from ..model.coordinate import Zero
 from ..model.coverage import target_beyond
 from ..model.fitted import Fitted, fitted_of
 from ..model.model import Model
 from ..model.units import units_of
 from ..signal.record import Record
+from ..signal.target import Target
 from ..simulate.prediction import outside_fraction
 from .advice import Found, advice
 from .lead_in import led_in

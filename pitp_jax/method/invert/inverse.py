@@ -3,23 +3,28 @@
 closed_form   u = drive^-1(sqrt(max(F, 0))),  F = sigma_off + sum_i sigma_i x^(i)     (paper, eq. 13)
 discrete      the voltage whose decoder steps lead from each state to the next         (`discrete`)
 
-Each signal is one recording; the caller vmaps.
+Each signal is one recording; the caller vmaps, or `sharded_inverse` distributes many over devices.
 """
 
 from typing import Literal
 
+import equinox as eqx
+import jax
 import numpy as np
+from jax.sharding import Mesh
 from jaxtyping import Array, Bool, Float
 
-from ...common.errors import BadInput
+from ...common.errors import BadInput, refuse_traced
 from ..model.coordinate import Zero
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import jit, signal
+from ..numerics.spline_derivative import fast_derivatives
 from ..simulate import ports
+from ..simulate.along import equation_of, motion_along
+from ..simulate.devices import local_rows, over_records, spread
 from .discrete import along_motion
 from .equation import invert_path, unreachable
-from .tokens import equation_of, motion_along
 
 Kind = Literal["closed_form", "discrete"]
 
@@ -70,3 +75,38 @@ def _inverse(model: Model, displacement: Float[Array, " time"], dt, kind: Kind, 
     if kind == "discrete":
         voltage = ports.played(model, along_motion(model, force, features, dt), dt, exact=True)
     return voltage.astype(equation.dtype), unreachable(model, force, dt)
+
+
+class _Inverse(eqx.Module):
+    dt: float = eqx.field(static=True)
+
+    def __call__(self, model, equation):
+        # one record after the other: an inverse is an array over time already, and long records fill the memory
+        return jax.lax.map(lambda e: invert_path(model, e, self.dt)[1], equation)
+
+
+def sharded_inverse(
+    model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
+) -> Float[np.ndarray, "records time"]:
+    """Compute the voltages (V) for this process's wanted displacements (m) from rest, on all devices.
+
+    Args:
+        model: the same in every process, without effects.
+        displacement: this process's, m, shape (records, T).
+        dt: sampling interval, s.
+        mesh: of `records_mesh`.
+
+    Returns:
+        voltages, shape (records, T).
+
+    Examples:
+        >>> mesh = pitp.records_mesh(jax.devices()[:1])
+        >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
+        (1, 64)
+    """
+    refuse_traced("sharded_inverse", "inverse", model, displacement)
+    model = model_of(model)
+    # on the host, in float64, because float32 has too few digits for derivatives
+    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
+    batch = spread((rows.astype(model.coefficients.dtype),), mesh)
+    return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...files.recordings.reading import Target
 from ..model.coordinate import Zero, to_model
 from ..model.drive import ElectrodeLag
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
+from ..signal.target import Target
 from ..simulate.batched_rollout import fast_rollout
 from ..simulate.decoder import rest_state, still_state
 from ..simulate.prediction import at_rate

@@ -13,7 +13,7 @@ from scipy.interpolate import make_interp_spline, make_lsq_spline
 
 from ...common.errors import BadInput
 from ...common.units import from_base, to_base
-from ...files.recordings.reading import Target
+from ..signal.target import Target
 
 MOST = 20_000_000  # samples of a plan
 SAME = 1e-6  # relative, between rates

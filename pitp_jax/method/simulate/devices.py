@@ -17,11 +17,9 @@ from jax.sharding import Mesh, NamedSharding, PartitionSpec
 from jaxtyping import Array, Float
 
 from ...common.errors import BadInput, refuse_traced
-from ..invert.equation import invert_path
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import jit
-from ..numerics.spline_derivative import fast_derivatives
 from .batched_rollout import fast_rollout
 
 _AXIS = "records"
@@ -93,14 +91,6 @@ class _Rollout(eqx.Module):
         return fast_rollout(model, voltage, self.dt, start)
 
 
-class _Inverse(eqx.Module):
-    dt: float = eqx.field(static=True)
-
-    def __call__(self, model, equation):
-        # one record after the other: an inverse is an array over time already, and long records fill the memory
-        return jax.lax.map(lambda e: invert_path(model, e, self.dt)[1], equation)
-
-
 def sharded_rollout(
     model: Model | Fitted,
     voltage: Float[np.ndarray, "records time"],
@@ -130,30 +120,3 @@ def sharded_rollout(
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
     return local_rows(over_records(_Rollout(float(dt)), mesh, model, batch), len(voltage))
-
-
-def sharded_inverse(
-    model: Model | Fitted, displacement: Float[np.ndarray, "records time"], dt: float, mesh: Mesh
-) -> Float[np.ndarray, "records time"]:
-    """Compute the voltages (V) for this process's wanted displacements (m) from rest, on all devices.
-
-    Args:
-        model: the same in every process, without effects.
-        displacement: this process's, m, shape (records, T).
-        dt: sampling interval, s.
-        mesh: of `records_mesh`.
-
-    Returns:
-        voltages, shape (records, T).
-
-    Examples:
-        >>> mesh = pitp.records_mesh(jax.devices()[:1])
-        >>> pitp.sharded_inverse(model, np.full((1, 64), 1e-3), 1e-3, mesh).shape
-        (1, 64)
-    """
-    refuse_traced("sharded_inverse", "inverse", model, displacement)
-    model = model_of(model)
-    # on the host, in float64, because float32 has too few digits for derivatives
-    rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
-    batch = spread((rows.astype(model.coefficients.dtype),), mesh)
-    return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))

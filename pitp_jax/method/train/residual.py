@@ -13,13 +13,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ..invert.tokens import equation_of, features_of, motion_along
 from ..model.coordinate import Zero
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import jit, signal
 from ..signal.preprocess import BUTTERWORTH_ORDER, ENERGY_FRACTION, SETTLING
 from ..simulate import ports
+from ..simulate.along import equation_of, features_of, motion_along
 from ..simulate.decoder import scaled_force
 from .dataset import spread_weights
 from .equation_error import balance

@@ -15,7 +15,7 @@ from ..model.memory import ElapsedTime
 from ..model.model import Model
 from ..model.programs import jit, signal
 from ..numerics.path_derivative import path_derivatives
-from ..simulate import ports
+from . import ports
 
 
 def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
