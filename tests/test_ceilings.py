@@ -1,0 +1,57 @@
+"""The size of every room, counted as tokens of code: without comments, docstrings, blank lines and layout.
+
+A room may grow up to its ceiling. A new option, rule or message in a room at its ceiling takes the place of others.
+"""
+
+import ast
+import io
+import tokenize
+from pathlib import Path
+
+import pytest
+
+import pitp_jax
+
+PACKAGE = Path(pitp_jax.__file__).parent
+CEILINGS = {
+    "common": 6000, "method/numerics": 9700, "method/signal": 13250, "method/model": 12400, "method/effects": 11900,
+    "method/simulate": 16700, "method/fit": 9000, "method/identify": 24600, "method/train": 15700,
+    "method/invert": 18700, "method/diagnose": 49900, "method/adapt": 5250, "files/containers": 29050,
+    "files/recordings": 12450, "files/model_file": 5400, "files/export": 13050, "files/mjcf": 9050,
+    "application/commands": 20400, "application/pages": 13750, "application/compare": 10400, "application/plan": 10600,
+    "application/check": 7950, "application/against": 3050, "application/demo": 4250, "application/plant": 2500,
+}  # fmt: skip
+LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
+
+
+def tokens_of(text: str) -> int:
+    """Count the tokens of a file; 60 characters of a string count as one more token."""
+    docs = [
+        node.body[0]
+        for node in ast.walk(ast.parse(text))
+        if isinstance(node, ast.Module | ast.FunctionDef | ast.ClassDef) and ast.get_docstring(node, clean=False)
+    ]
+    inside = {line for doc in docs for line in range(doc.lineno, (doc.end_lineno or doc.lineno) + 1)}
+    counted = [
+        t
+        for t in tokenize.generate_tokens(io.StringIO(text).readline)
+        if t.type not in LAYOUT and not (t.type == tokenize.STRING and t.start[0] in inside)
+    ]
+    return sum(1 + (t.type == tokenize.STRING) * (len(t.string) // 60) for t in counted)
+
+
+def test_comments_and_docstrings_do_not_count():
+    plain = 'x = 1\n\n\ndef f(a):\n    return a + "' + "b" * 130 + '"\n'
+    told = '"""About."""\nx = 1  # why\n\n\ndef f(a):\n    """Say."""\n    return a + "' + "b" * 130 + '"\n'
+    assert tokens_of(plain) == tokens_of(told) == 15  # 3 and 10, and 2 for the long string
+
+
+@pytest.mark.parametrize("room", CEILINGS)
+def test_no_room_is_above_its_ceiling(room):
+    count = sum(tokens_of(path.read_text(encoding="utf-8")) for path in (PACKAGE / room).rglob("*.py"))
+    assert count <= CEILINGS[room]
+
+
+def test_every_room_has_a_ceiling():
+    rooms = {"/".join(p.relative_to(PACKAGE).parts[:2]) for p in PACKAGE.glob("*/*/*.py")}
+    assert {room for room in rooms if not room.startswith("common/")} <= set(CEILINGS)
