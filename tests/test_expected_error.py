@@ -11,7 +11,7 @@ from pitp_jax.method.model.expected_error import error_table, expected_error, me
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.model import linear_model
 from pitp_jax.method.model.origin import Origin
-from pitp_jax.method.train.cross_validation import HeldOut, with_left_out
+from pitp_jax.method.train.cross_validation import HeldOut, with_held_out
 
 DT = 1e-3
 MODEL = linear_model([1e7, 2e5, 1e4], dt=DT)
@@ -85,7 +85,7 @@ def test_trained_model_has_the_errors_of_recordings_left_out():
     trained = Fitted(MODEL, replace(trained.origin, training={}))
     assert expected_error(trained, sine(8.0, 1e-3), DT) is None
     errors = [HeldOut(f"r{k}", 0.1, e, cells=((8.0, 1e-3 / ROOT2, e * 1e-6),)) for k, e in enumerate((1.0, 7.0))]
-    kept = with_left_out(trained, [*errors, HeldOut("lost", 0.1, np.inf, "diverged")])
+    kept = with_held_out(trained, [*errors, HeldOut("lost", 0.1, np.inf, "diverged")])
     found = expected_error(kept, sine(8.0, 1e-3), DT)
     assert found is not None and "2 recordings" in found.source and "1 to 7 %" in found.source
     assert found.percent == pytest.approx(100 * 5e-6 / 2e-3, rel=1e-2)

@@ -34,5 +34,5 @@ def write_mjcf(
         >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
         >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
     """
-    told = parameters(found.nominal, found.robot, found.records, None)
-    return write_numbers(told, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
+    rows = parameters(found.nominal, found.robot, found.records, None)
+    return write_numbers(rows, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)

@@ -24,13 +24,13 @@ class Amount(NamedTuple):
 
 def amount(text: str) -> Amount | None:
     """Split text such as `3kV` into number and unit; return None if it is not a finite number with a known unit."""
-    found = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", text)
-    if found is None or not math.isfinite(float(found[1])):
+    match = re.fullmatch(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(.*?)\s*", text)
+    if match is None or not math.isfinite(float(match[1])):
         return None
-    known = not found[2] or any(
-        kind_of(spelt(unit)) not in (None, "time") for unit in (found[2], _unit_of_rate(found[2]))
+    known = not match[2] or any(
+        kind_of(spelt(unit)) not in (None, "time") for unit in (match[2], _unit_of_rate(match[2]))
     )
-    return Amount(float(found[1]), found[2]) if known else None
+    return Amount(float(match[1]), match[2]) if known else None
 
 
 def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool = False) -> float | None:
@@ -58,7 +58,7 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
 
 def _unit_of_rate(unit: str) -> str:
     """Remove one `per second` from a unit: kV from kV/s, deg/s from deg/s2; empty if there is none."""
-    found = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
-    if found is None:
+    match = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
+    if match is None:
         return ""
-    return f"{found[1]}/s" if re.search(r"s(\^?2|²)$", unit) else found[1]
+    return f"{match[1]}/s" if re.search(r"s(\^?2|²)$", unit) else match[1]

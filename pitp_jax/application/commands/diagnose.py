@@ -160,13 +160,13 @@ def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
     """Write a changed MuJoCo file into the folder, and print the changes and the parameters that it cannot hold."""
-    found = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
-    if found is not None:
-        write_json(Path(out) / MJCF_JSON, found.as_json())
-        for line in found.lines():
+    written = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
+    if written is not None:
+        write_json(Path(out) / MJCF_JSON, written.as_json())
+        for line in written.lines():
             print(line)
-        words = ["pitp", "verify", *records, "--mjcf", str(found.file), "--before", mjcf, "--joint", joint]
-        print(f"wrote {found.file}; to verify it in MuJoCo: {shlex.join(words)}")
+        words = ["pitp", "verify", *records, "--mjcf", str(written.file), "--before", mjcf, "--joint", joint]
+        print(f"wrote {written.file}; to verify it in MuJoCo: {shlex.join(words)}")
 
 
 def _files_in(stage: Path) -> set[str]:

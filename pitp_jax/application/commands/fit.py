@@ -14,7 +14,7 @@ from ...method.signal.excitation_kind import is_sweep
 from ...method.signal.record import Record
 from ...method.simulate.prediction import predict
 from ...method.train.cross_validation import cross_validate as run_cross_validate
-from ...method.train.cross_validation import with_left_out
+from ...method.train.cross_validation import with_held_out
 from ...method.train.settings import preset_of
 from ...method.train.training import Training, train
 from ..pages.description import describe, fallback_line, in_words, sensor_line
@@ -80,7 +80,7 @@ def fit(
     if cross_validate:
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
         held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressBar().update, **how)
-        save(out, with_left_out(done.model, held_out))
+        save(out, with_held_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
         say(f"warning: {line}")
@@ -134,9 +134,9 @@ def _identified(records, order, **how) -> Identification:
         say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")
     else:
         say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
-    found = identify(sweeps or records, order=order, progress=say, **how)
-    say(f"identified order {found.model.order}")
-    if order == "auto" and trains_from_order_two(found):
+    identified = identify(sweeps or records, order=order, progress=say, **how)
+    say(f"identified order {identified.model.order}")
+    if order == "auto" and trains_from_order_two(identified):
         say("order 2 predicts as well, and training cannot add the mass that order 1 lacks: identifying order 2")
-        found = identify(sweeps or records, order=2, progress=say, **how)
-    return found
+        identified = identify(sweeps or records, order=2, progress=say, **how)
+    return identified

@@ -30,14 +30,14 @@ def explained(
         y = own[e.name].displacement[own[e.name].observed]
         missed += len(y) * (e.trained / 100 * own[e.name].span) ** 2
         moved += len(y) * float(np.var(y))
-    left = float(np.sqrt(missed / max(moved, 1e-300)))
+    residual = float(np.sqrt(missed / max(moved, 1e-300)))
     # training may explain effects that a linear model cannot, and then has a much smaller error
-    if first is not None and not first.explains and left > _HALF * first.chosen.heldout / 100:
+    if first is not None and not first.explains and residual > _HALF * first.chosen.heldout / 100:
         return False, first.warning
-    text = f"{100 * left:.0f} % of the output's rms remains unexplained on the training recordings"
-    if left >= NOTHING:
+    text = f"{100 * residual:.0f} % of the output's rms remains unexplained on the training recordings"
+    if residual >= NOTHING:
         return False, f"The model explains nothing: {text}. {CHECK}"
-    if left >= LITTLE:
+    if residual >= LITTLE:
         return True, f"{text}: the model explains only a part. {CHECK}"
     return True, None
 

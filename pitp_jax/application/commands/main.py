@@ -202,17 +202,17 @@ def _time_constant(text: str) -> float:
 def _amount(text: str) -> "Amount":
     from .amounts import amount  # imported here, because it loads NumPy
 
-    found = amount(text)
-    if found is None:
+    given = amount(text)
+    if given is None:
         raise argparse.ArgumentTypeError(f"{text!r} is not a number, or a number with a unit such as 3kV or 20deg")
-    return found
+    return given
 
 
 def _limit(text: str) -> "Amount":
-    found = _amount(text)
-    if not found.value > 0:
+    given = _amount(text)
+    if not given.value > 0:
         raise argparse.ArgumentTypeError(f"{text!r} is not positive")
-    return found
+    return given
 
 
 def _number(text: str) -> float:

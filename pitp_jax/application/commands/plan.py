@@ -72,8 +72,8 @@ def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
         return None, []
     models = [p for p in paths if Path(p).is_file() and is_model_file(p)]
     if len(models) != 1:
-        found = f"{', '.join(models)}: several model files" if models else f"{paths[0]}: is not a model file"
-        raise BadInput(f"{found}; give one model file and the recordings that it was trained on")
+        problem = f"{', '.join(models)}: several model files" if models else f"{paths[0]}: is not a model file"
+        raise BadInput(f"{problem}; give one model file and the recordings that it was trained on")
     return models[0], [p for p in paths if p != models[0]]
 
 

@@ -36,21 +36,21 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
     if len(set(files)) < len(files):
         raise BadInput("a held-out recording has the same name as another recording; rename one of them")
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=inputs)
-    found = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
-    with staged(folder=out, json_file=json_file, value=found.as_json()) as stage:
+    result = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
+    with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
         if out is not None:
-            for played, file in zip(found.played, files, strict=True):
+            for played, file in zip(result.played, files, strict=True):
                 columns = {"time_s": played.record.time}
                 unit = played.record.displacement_unit
                 series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
-            drawn = figures(found)
+            drawn = figures(result)
             for picture in drawn:
                 write_picture(stage, picture)  # before the page, which makes it small
-            write_text_atomic(stage / REPORT, page(found, drawn))
-    _print(found)
-    if found.better is False:
+            write_text_atomic(stage / REPORT, page(result, drawn))
+    _print(result)
+    if result.better is False:
         raise ComputationFailed(f"{mjcf} is not significantly better than {before}; keep the old file")
 
 
@@ -67,8 +67,8 @@ def one_joint(joint: list[str] | None) -> str:
     return joint[0]
 
 
-def _print(found: Verification) -> None:
-    rows = table(found)
+def _print(result: Verification) -> None:
+    rows = table(result)
     print_table(rows.header, rows.cells(lambda value: number(value, 3)))
-    for line in found.lines():
+    for line in result.lines():
         print(line)

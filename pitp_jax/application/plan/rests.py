@@ -11,7 +11,7 @@ from ...method.model.model import Model
 from ...method.simulate.decoder import rest_state, rollout_batch
 from ...method.simulate.prediction import at_rate
 
-_LEFT = 0.005  # of the stroke: hidden in sensor noise
+_SETTLED = 0.005  # of the stroke: hidden in sensor noise
 _HELD, _LONGEST = 3.0, 30.0  # s: hold before the rest, and longest rest
 _DAMPING = 0.05  # of an actuator without a model
 
@@ -19,7 +19,7 @@ _DAMPING = 0.05  # of an actuator without a model
 def first_rest(band: tuple[float, float]) -> float:
     """Return the pause between recordings of a first session, s, rounded up to tenths."""
     w = 2 * np.pi * np.sqrt(band[0] * band[1])
-    return min(float(np.ceil(-10 * np.log(_LEFT) / (_DAMPING * w)) / 10), _LONGEST)
+    return min(float(np.ceil(-10 * np.log(_SETTLED) / (_DAMPING * w)) / 10), _LONGEST)
 
 
 def rest_after(model: Model, volts: float, rate: float) -> float:
@@ -32,5 +32,5 @@ def rest_after(model: Model, volts: float, rate: float) -> float:
     x = np.abs(np.asarray(states[0, :, 0]))
     if not np.isfinite(x).all():
         return _LONGEST
-    moving = np.flatnonzero(x[held:] > _LEFT * x.max())
+    moving = np.flatnonzero(x[held:] > _SETTLED * x.max())
     return float(np.ceil(10 * (moving[-1] + 1 if len(moving) else 0) / rate) / 10)

@@ -63,12 +63,12 @@ def merged(rows: Sequence[tuple[float, float, float]] | Float[np.ndarray, "rows 
         return ()
     cells = np.round(_PER_OCTAVE * np.log2(table[:, :2]))
     _, cell = np.unique(cells, axis=0, return_inverse=True)
-    found = []
+    cells = []
     for k in range(int(cell.max()) + 1):
         some = table[cell.ravel() == k]
         hz, amplitude = np.exp(np.log(some[:, :2]).mean(0))
-        found.append((float(hz), float(amplitude), float(np.sqrt(np.mean(some[:, 2] ** 2)))))
-    return tuple(found)
+        cells.append((float(hz), float(amplitude), float(np.sqrt(np.mean(some[:, 2] ** 2)))))
+    return tuple(cells)
 
 
 def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expected | None:
@@ -89,11 +89,11 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
     away = (np.log2(f / hz) ** 2 + np.log2(s / amplitude) ** 2) / 2
     near = np.exp(away.min(1, keepdims=True) - away)
     squares = (near * error**2).sum(1) / near.sum(1)
-    left_out = [v for v in ((origin.training or {}).get("left_out_errors") or {}).values() if v is not None]
+    errors = [v for v in ((origin.training or {}).get("left_out_errors") or {}).values() if v is not None]
     source = "from the recordings that it was identified on, at similar frequencies and amplitudes"
     if step == "fit":
         source = (
-            f"from {len(left_out)} recordings, each left out of a training ({min(left_out):.2g} to {max(left_out):.2g} "
+            f"from {len(errors)} recordings, each left out of a training ({min(errors):.2g} to {max(errors):.2g} "
             "%), at similar frequencies and amplitudes"
         )
     return Expected(float(100 * np.sqrt(squares.mean()) / np.ptp(x)), source)
@@ -106,11 +106,11 @@ def _windows(samples: int) -> list[slice]:
 
 def _moves(run: np.ndarray, dt: float) -> list[tuple[float, float]]:
     """Return frequency (Hz; 0 without motion) and standard deviation of a motion in every window."""
-    speed, found = np.gradient(run, dt), []
+    speed, strokes = np.gradient(run, dt), []
     for place in _windows(len(run)):
         size = float(np.std(run[place]))
-        found.append((float(np.std(speed[place])) / (2 * np.pi * size) if size > 0 else 0.0, size))
-    return found
+        strokes.append((float(np.std(speed[place])) / (2 * np.pi * size) if size > 0 else 0.0, size))
+    return strokes
 
 
 def _limited(moves: Float[np.ndarray, "windows two"], largest: float, dt: float) -> Float[np.ndarray, "windows two"]:

@@ -44,7 +44,7 @@ class HeldOut:
         return not self.predicted <= _WORSE * self.fitted
 
 
-def with_left_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
+def with_held_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:
     """Store the errors of held-out recordings in the model's origin: % of range (None: training failed), and cells."""
     errors = {h.name: h.predicted if math.isfinite(h.predicted) else None for h in held_out}
     training = {**(model.origin.training or {}), "left_out_errors": errors}
@@ -94,5 +94,5 @@ def _held_out(nominal, records: Sequence[Record], k: int, fitted: float, trained
         blind = trained((start, others)).model
     except (BadInput, ComputationFailed) as error:  # only this fold fails; the others remain valid
         return HeldOut(one.name, fitted, float("inf"), str(error))
-    (found,) = scores(blind, [one])
-    return HeldOut(one.name, fitted, found.percent, cells=found.cells)
+    (score,) = scores(blind, [one])
+    return HeldOut(one.name, fitted, score.percent, cells=score.cells)

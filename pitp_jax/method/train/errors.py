@@ -63,12 +63,12 @@ def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray
 
 def scores(model: Model | Fitted, records: Sequence[Record]) -> list[Score]:
     """Simulate every record, and return its errors; the cells are empty if it diverges."""
-    found = []
+    results = []
     for p, r in zip(predict(model, records), records, strict=True):
         error = np.where(p.scored, p.displacement - r.displacement, np.nan)
         cells = () if p.diverged else error_table([p.displacement], [error], r.dt)
-        found.append(Score(percent_of(p, r), cells))
-    return found
+        results.append(Score(percent_of(p, r), cells))
+    return results
 
 
 def percent_of(run: Prediction, record: Record) -> float:
