@@ -79,10 +79,10 @@ class Check(Shown):
         records: by name; one that could not be read holds its refusal as a problem.
         advice: on the set, one sentence each, the most important first.
         resonance_hz: of the linear fit; None if no fit was possible.
-        input_map: whether the force was taken as the square of the voltage or as the voltage.
-        coverage: excited frequencies and amplitudes.
-        repeats: inputs that were played more than once.
-        understood: the records as read.
+        input_map: "square" or "linear": the force was taken as the square of the input or as the input.
+        coverage: excited frequencies and amplitudes, one point a time window; None without a resonance.
+        repeats: groups of recordings with the same input, each with the scatter of their outputs.
+        understood: the records that could be read, in base units, sensor faults masked; in the order given.
     """
 
     records: dict[str, CheckedRecord]

@@ -40,12 +40,13 @@ class Plan(Shown):
     """The recordings to take next, and the error expected after them.
 
     Attributes:
-        recordings: to take, in this order.
-        limits: their limits.
-        expected: error on inputs not recorded yet, % of range, without noise: before, and after each recording except
-            that of untrained frequencies, which comes first; empty without a trained model.
-        stop: whether no recording would lower the error visibly.
-        notes: what was left out, with reasons.
+        recordings: to take, in this order; each holds its input (V) over time (s).
+        limits: of all recordings: input (V), its slew (V/s), displacement (m), band and rate (Hz), rest (s).
+        expected: error on inputs not recorded yet, % of range, without noise, shape (k + 1,): now, and after each of
+            the k recordings chosen for it. A recording of untrained frequencies comes before these and does not count.
+            Empty without a trained model.
+        stop: True if no recording would lower the measured error by 1 % or more.
+        notes: one sentence for each input that was left out, with the reason.
     """
 
     recordings: tuple[Planned, ...]

@@ -71,12 +71,25 @@ class Scales(Constants):
 
 
 class Model(eqx.Module):
-    """A model of an actuator: nominal coefficients with input map, encoder, memory and effects.
+    """An actuator's equation of motion of order n, whose coefficients depend on its state (paper, eqs. 2 to 7).
+
+        F(t) = sigma_off(S, m) + sum_{i=0}^{n} sigma_i(S, m) x^(i)(t)
+        F = V^2 (or V),   V: the input u behind the drive,   S = [x, ..., x^(n-1)],   m: lags of x
+        sigma_i = a_i g(encoder(S, m))_i,   g(0) = 1          a_i: the nominal (linear) model
+
+    All parts work in scaled coordinates X_i = x^(i) / scales.state_i and F / scales.force, which are of order one.
 
     Attributes:
-        coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scale_i / force_scale.
-        encoder, memory, input_map, output, scales, drive, effects: the parts; `effects` act on the force side. Any
-            other Equinox module as encoder is wrapped (`OwnEncoder`).
+        coefficients: nominal tokens in scaled coordinates, shape (n + 1,): a_i scales.state_i / scales.force;
+            `physical_coefficients` holds a_i in V^2 s^i / m.
+        encoder: g's argument, the logits from the scaled S and m; constant for a linear model. Any other Equinox
+            module is wrapped (`OwnEncoder`).
+        memory: the lags m of x.
+        input_map: F of the voltage, squared or linear.
+        drive: the lag of the electrode between u and V.
+        output: the sensor's offset and direction.
+        scales: m / s^i of every derivative, V^2 (or V) of the force.
+        effects: further parts of the catalogue, each at its place between input and sensor.
         hold: the voltage between samples: "foh" (linear), "zoh" (constant) or "bandlimited".
         substeps: RK4 steps per sample.
         domain: range of its training data: sampling, voltages, region.

@@ -90,7 +90,10 @@ class Ensemble(Shown):
 
 @dataclass(frozen=True, repr=False)
 class Band(Shown):
-    """The prediction of an ensemble for one record: mean, and half the width of the band (m or V).
+    """The prediction of an ensemble for one record: mean, and half the width of the band around it.
+
+    The band reaches from `displacement - half_width` to `displacement + half_width`. It should hold the fraction
+    `level` of the samples that `predict_band` was called with.
 
     Attributes:
         name: of the record.
