@@ -19,7 +19,6 @@ from pitp_jax.application.pages.plan import page
 from pitp_jax.application.plan.expected_error import knowledge, motions
 from pitp_jax.application.plan.information import choose, variance
 from pitp_jax.application.plan.next_recordings import greedy
-from pitp_jax.application.plan.strokes import scaled_to_limits, strokes
 from pitp_jax.method.fit.parameters import parameters, with_parameters
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.origin import Origin
@@ -80,17 +79,6 @@ def test_no_drive_exceeds_the_stroke_with_half_the_damping(linear, bounded):
         assert reached <= 2.5e-3 * 1.01
         assert r.stroke_half_damped == pytest.approx(reached, rel=0.02)
         assert r.stroke <= r.stroke_half_damped * 1.01
-
-
-def test_a_drive_is_made_small_enough_for_stroke_and_slew(linear, bounded):
-    """A sine at the resonance with the whole voltage, on a model of damping 0.02."""
-    model = bounded(linear(2, 5.0, 0.02), high=1000.0)
-    t = np.arange(4000) * 1e-3
-    asked = 1000 * np.sin(np.pi * 5 * t) ** 2 * np.minimum(1, t / 0.5)
-    kept = scaled_to_limits(model, asked, 1e-3, 1e-3, 8e3)
-    assert kept is not None and np.abs(np.diff(kept)).max() <= 8.0 * (1 + 1e-9)
-    own, half = strokes(model, [kept], 1e-3)[0]
-    assert 0.5e-3 < half <= 1e-3 and own <= half
 
 
 def test_a_plan_is_the_same_for_a_seed_and_another_for_another():

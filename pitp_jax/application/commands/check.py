@@ -3,10 +3,10 @@
 import os
 from pathlib import Path
 
-from ...common.units import base_unit, column_name
+from ...common.units import base_unit
 from ...files.containers.options import folder_file
 from ...files.recordings.reading import read_each
-from ...files.recordings.writing import write_csv, write_text_atomic
+from ...files.recordings.writing import write_signals, write_text_atomic
 from ..check.check import Check, checked
 from ..pages.check import page
 from .console import number, print_table, say
@@ -47,12 +47,11 @@ def check(records, out, json_file, reading) -> None:
 
 def _write(result: Check, files: dict[str, str], folder: Path) -> None:
     for record in result.understood:
-        path = folder / files[record.name]
-        path.parent.mkdir(parents=True, exist_ok=True)
-        drive = column_name("voltage", base_unit(record.voltage_unit))
-        output = column_name("displacement", base_unit(record.displacement_unit))
-        columns = {"time_s": record.time, drive: record.voltage, output: record.displacement}
-        write_csv(path, columns)
+        signals = {
+            "voltage": (record.voltage, base_unit(record.voltage_unit)),
+            "displacement": (record.displacement, base_unit(record.displacement_unit)),
+        }
+        write_signals(folder / files[record.name], record.time, **signals)
     write_text_atomic(folder / PAGE, page(result))
     said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
     write_text_atomic(folder / SOURCE, folder_file(said))

@@ -10,12 +10,11 @@ from typing import TypeVar
 import numpy as np
 
 from ...common.errors import BadInput
-from ...common.units import column_name, from_base
 from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
 from ...files.mjcf.write import identified_name
 from ...files.model_file.model_file import save
-from ...files.recordings.writing import write_csv, write_text_atomic
+from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
@@ -225,8 +224,7 @@ def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
     """Write the input of the proposed next experiment as CSV, if there is one."""
     if robot.next_experiment is not None:
         unit = "V" if input_unit.endswith("V") else input_unit
-        drive = from_base(robot.next_experiment.voltage, unit)
-        write_csv(folder / NEXT_CSV, {"time_s": robot.next_experiment.time, column_name("voltage", unit): drive})
+        write_signals(folder / NEXT_CSV, robot.next_experiment.time, voltage=(robot.next_experiment.voltage, unit))
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:

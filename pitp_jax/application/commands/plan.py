@@ -7,9 +7,9 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...common.quantity import Quantity, Units
-from ...common.units import column_name, spelt
+from ...common.units import spelt
 from ...files.model_file.model_file import is_model_file, load
-from ...files.recordings.writing import write_csv, write_text_atomic
+from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.model.units import units_of
 from ..pages.plan import headline, page, table
 from ..plan.planning import REACHED, Plan
@@ -58,8 +58,7 @@ def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, jso
     summary = planned.as_json() | {"files": files}
     with staged(folder=out, json_file=json_file, value=summary) as stage:
         for file, r in zip(files, planned.recordings, strict=True):
-            drive = units.input
-            write_csv(stage / file, {"time_s": r.time, column_name("voltage", drive.unit): drive.shown(r.voltage)})
+            write_signals(stage / file, r.time, voltage=(r.voltage, units.input.unit))
         write_text_atomic(stage / PAGE, page(planned, given or ""))
         write_json(stage / JSON, summary)
     _print(planned, given is not None)

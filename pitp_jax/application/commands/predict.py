@@ -3,14 +3,13 @@
 import math
 import statistics
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from ...common.errors import ComputationFailed
 from ...common.metrics import e_rms_percent, nrmse_percent, rmse
-from ...common.units import column_name, from_base
-from ...files.recordings.writing import write_csv, write_text_atomic
+from ...common.units import from_base
+from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.model.expected_error import Expected, expected_error
 from ...method.signal.initial_state import Beginning
 from ...method.signal.record import Record
@@ -50,7 +49,11 @@ def predict(model, records, out, json_file, reading) -> None:
             from ..pages.fit_page import fit_page  # imported here, because matplotlib takes half a second
 
             for record, prediction, file in zip(read_in, predictions, files, strict=True):
-                _write_record(stage / file, record, prediction)
+                unit = record.displacement_unit
+                write_signals(
+                    stage / file, record.time, {f"predicted_{unit}": from_base(prediction.displacement, unit)},
+                    voltage=(record.voltage, record.voltage_unit), displacement=(record.displacement, unit),
+                )  # fmt: skip
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
     _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
     if open_ones := [p.name for p in predictions if p.start_certainty < _CERTAIN]:
@@ -109,18 +112,6 @@ def median_e_rms(rows: Sequence[dict]) -> float | None:
     values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
     values = [value for value in values if value is not None]
     return _finite(statistics.median(values)) if values else None
-
-
-def _write_record(path: Path, record: Record, prediction: Prediction) -> None:
-    volts, unit = record.voltage_unit, record.displacement_unit
-    columns = {
-        "time_s": record.time,
-        column_name("voltage", volts): from_base(record.voltage, volts),
-        column_name("displacement", unit): from_base(record.displacement, unit),
-        f"predicted_{unit}": from_base(prediction.displacement, unit),
-    }
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_csv(path, columns)
 
 
 def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:

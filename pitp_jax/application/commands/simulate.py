@@ -2,15 +2,14 @@
 
 import math
 from collections.abc import Sequence
-from pathlib import Path
 
 import numpy as np
 
 from ...common.errors import ComputationFailed
-from ...common.units import column_name, from_base
+from ...common.units import from_base
 from ...files.model_file.model_file import load
 from ...files.recordings.voltage_file import Drive, read_voltage
-from ...files.recordings.writing import write_csv
+from ...files.recordings.writing import write_signals
 from ...method.model.coordinate import Zero
 from ...method.model.coverage import input_beyond, input_words
 from ...method.model.fitted import Fitted
@@ -50,7 +49,8 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
             for drive, x, file in zip(drives, runs, files, strict=True):
-                _write(stage / file, drive, x, unit)
+                signals = {"voltage": (drive.voltage, drive.voltage_unit), "displacement": (x, unit)}
+                write_signals(stage / file, drive.time, **signals)
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
     table = []
     for name, row in rows.items():
@@ -101,13 +101,3 @@ def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
         "diverged": bool(np.isnan(x).any()),
         "outside_training_share": input_beyond(model, drive.voltage, drive.dt).fraction,
     }
-
-
-def _write(path: Path, drive: Drive, x: np.ndarray, unit: str) -> None:
-    volts = drive.voltage_unit
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_csv(path, {
-        "time_s": drive.time,
-        column_name("voltage", volts): from_base(drive.voltage, volts),
-        column_name("displacement", unit): from_base(x, unit),
-    })  # fmt: skip

@@ -17,7 +17,6 @@ from .expected_error import motions
 LEAST_DAMPING = 0.01  # of an actuator that has not been identified yet
 _HALF = 0.5
 _PLACES, _LINES = 40, 3  # resonances over the band; lines of an input's own force
-_TRIES, _MARGIN = 12, 0.98
 
 
 def half_damped(model: Model) -> Model:
@@ -45,27 +44,6 @@ def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarr
     """
     played = [motions(m, list(voltages), dt, slopes=False) for m in (model, half_damped(model))]
     return np.stack([np.where(p.finite, p.stroke, np.inf) for p in played], 1)
-
-
-def scaled_to_limits(model: Model, voltage: np.ndarray, dt: float, farthest: float, slew: float) -> np.ndarray | None:
-    """Scale a voltage down until slew and stroke, also at half the damping, meet the limits; None if impossible.
-
-    Args:
-        model: any.
-        voltage: V, shape (T,), from zero to zero.
-        dt: sampling interval, s.
-        farthest: largest |x| allowed, m.
-        slew: largest |u'| allowed, V/s.
-    """
-    steepest = float(np.abs(np.diff(voltage)).max()) / dt
-    scale = min(1.0, slew / max(steepest, 1e-30))
-    for _ in range(_TRIES):
-        reached = float(strokes(model, [scale * voltage], dt).max())
-        if reached <= farthest:
-            return scale * voltage
-        power = 0.5 if model.input_map.one_sided else 1.0  # force grows as u^2, the stroke about as the force
-        scale *= max((_MARGIN * farthest / reached) ** power, 0.1) if np.isfinite(reached) else 0.5
-    return None
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:

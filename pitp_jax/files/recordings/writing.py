@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.units import column_name, from_base
 
 
 def write_bytes_atomic(path: str | os.PathLike, data: bytes) -> None:
@@ -82,6 +83,23 @@ def write_text_atomic(path: str | os.PathLike, text: str) -> None:
         BadInput: it cannot be written.
     """
     write_bytes_atomic(path, text.encode("utf-8"))
+
+
+def write_signals(path: Path, time: np.ndarray, more: Mapping[str, np.ndarray] | None = None, **signals) -> None:
+    """Write signals over time (s) as CSV in their units; create the folder.
+
+    Args:
+        path: the file.
+        time: s, shape (T,).
+        more: further columns by name, in the units written.
+        **signals: `voltage`, `displacement`: values in base units, and the unit to write.
+
+    Raises:
+        BadInput: it cannot be written.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    columns = {column_name(quantity, unit): from_base(values, unit) for quantity, (values, unit) in signals.items()}
+    write_csv(path, {"time_s": time, **columns, **(more or {})})
 
 
 def write_csv(path: str | os.PathLike, columns: Mapping[str, np.ndarray]) -> None:
