@@ -149,6 +149,32 @@ def parts():
         return split(MIXED, 6, 3, ())
 
 
+def test_slopes_are_those_of_jax():
+    """`jax.jvp` of the step, printed, one direction a run: the columns of `jax.jacfwd` of the whole simulation."""
+
+    def sloped(parameters, state, u):
+        (p, dp), (s, ds) = jnp.split(parameters, 2), jnp.split(state, 2)
+        (after, _), (moved, slope) = jax.jvp(lambda a, b: MIXED(a, b, u), (p, s), (dp, ds))
+        return jnp.concatenate([after, moved]), slope
+
+    def simulated(p):
+        return jax.lax.scan(lambda s, u: MIXED(p, s, u), jnp.asarray(S[0]), jnp.asarray(U[0]))[1]
+
+    with jax.enable_x64(True):
+        truth = jax.jacfwd(simulated)(jnp.asarray(P[0]))
+    parameters = np.concatenate([np.tile(P[0], (6, 1)), np.eye(6)], 1)
+    start = np.concatenate([np.tile(S[0], (6, 1)), np.zeros((6, 3))], 1)
+    assert kernel(sloped, parameters, start, U) is not None
+    slopes = free_runs(sloped, parameters, start, U, np.zeros(6, int))[..., 0]
+    np.testing.assert_allclose(slopes.T, truth, rtol=0, atol=1e-9 * np.abs(truth).max())
+
+
+def test_a_diverging_run_diverges_in_both():
+    compiled, scan = both(lambda p, s, u: (s + 3 * p[:3] * (0.5 + s * s), s))
+    assert not np.isfinite(scan).all(1).any()
+    np.testing.assert_array_equal(np.isfinite(compiled), np.isfinite(scan))
+
+
 @pytest.mark.parametrize("width", [2, 4, 8, 16])
 def test_every_width_gives_the_same_answer(width):
     address = objects.address_of(text_of(parts(), width, equal=False))

@@ -224,3 +224,21 @@ def test_every_row_is_off_at_its_off_value(nominal):
     slots = np.where(SHAPE, 1.7 * plain, plain)
     np.testing.assert_array_equal(free_run(slots), free_run(plain))
     assert SHAPE.sum() > 20 and LOGARITHM[INDEX["a1"]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("square", [True, False])
+def test_machine_code_equals_the_scan_for_every_row(nominal, square, monkeypatch):
+    """2,000 steps in float64: no row, every row alone, and all together."""
+    slots = np.tile(slots_of(nominal)[0], (2 + len(ROWS), 1))
+    for k, row in enumerate(ROWS):
+        slots[[k, -1], PLACES[row]] = NUMBERS[row.key]
+    scale = float(nominal.scales.force) if square else 1e3
+    simulator = Simulator((Drive(VOLTS, DT, (0.0, 0.0), 0.0, 0.0),), square, scale, rates_of(nominal), 1)
+    run = lambda: np.array(simulator.run(slots, [0] * len(slots), np.zeros((len(slots), 2))))  # noqa: E731
+    found = run()
+    monkeypatch.setattr("pitp_jax.method.simulate.free_runs.kernel", lambda *_: None)
+    scan = run()
+    np.testing.assert_array_equal(np.isnan(found), np.isnan(scan))
+    largest = np.nanmax(np.abs(scan), axis=1, keepdims=True)
+    np.testing.assert_allclose(found / largest, scan / largest, rtol=0, atol=1e-12)

@@ -12,6 +12,7 @@ ROWS = {
     "inverse_paper": "inverse_paper",
     "rollout_batch": "rollout_batch",
     "rollout_many": "rollout_many",
+    "free_runs": "free_runs",
     "stream": "stream",
     "realtime": "realtime",
     "devices": "devices",

@@ -3,6 +3,7 @@
 from ...common.errors import BadInput
 from ...files.model_file.model_file import digest, load
 from ...method.model.fitted import Fitted
+from ...method.simulate.model_runs import way_of
 from ..pages.description import describe
 from .console import number
 from .outputs import check_outputs, write_json
@@ -27,6 +28,7 @@ def info(model, others, json_file) -> None:
     summary = traced(loaded)
     write_json(json_file, summary)
     print_model(loaded, summary)
+    print(f"free runs: {way_of(loaded.model)}")
     print_lineage(summary)
 
 

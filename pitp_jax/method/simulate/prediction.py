@@ -25,9 +25,9 @@ from ..signal.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, 
 from ..signal.record import Record
 from ..signal.sets import alike, check_set, session_clock
 from . import ports
-from .batched_rollout import free_runs
 from .beginnings import beginnings
 from .decoder import rollout, settled_state
+from .model_runs import model_runs
 
 _BLOCK = 256  # samples: starts are estimated from whole blocks, so that few lengths are compiled
 _SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
@@ -163,13 +163,13 @@ def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Predictio
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
     """Predict records that are padded to one length; `starts`: the result of `begin` for every record."""
-    size = -(-max(r.samples for r in records) // 1024) * 1024  # whole thousands: few lengths, few programs to compile
+    size = max(r.samples for r in records)
     voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
     start, spent, begun = zip(*starts, strict=True)
-    runs = free_runs(model, on_device(voltage, model.coefficients.dtype), records[0].dt, on_device(start))
+    runs = model_runs(model, voltage, records[0].dt, np.stack(start))
     return [
-        _prediction(model, r, states, np.asarray(seen, np.float64), n, b)
-        for r, states, seen, n, b in zip(records, *map(np.asarray, runs), spent, begun, strict=True)
+        _prediction(model, r, states, seen, n, b)
+        for r, states, seen, n, b in zip(records, *runs, spent, begun, strict=True)
     ]
 
 

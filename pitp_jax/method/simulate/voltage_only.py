@@ -12,10 +12,9 @@ from ...common.errors import BadInput, refuse_traced
 from ..model.coordinate import Zero, from_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
-from ..model.programs import on_device
-from .batched_rollout import free_runs
 from .beginnings import held_states
 from .decoder import rest_state
+from .model_runs import model_runs
 from .prediction import FAR, at_rate
 
 
@@ -76,7 +75,7 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
     """Simulate all voltages, shape (rows, time); return the displacement (m) in the model's own direction."""
-    dtype, samples = model.coefficients.dtype, rows.shape[1]
+    dtype = model.coefficients.dtype
     age = model.domain.age(start_time)
     # a record that starts under a voltage was most likely held there before
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
@@ -85,9 +84,7 @@ def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None,
     if held.any():
         ages = jnp.full(len(rows), age, dtype)
         start = jnp.where(held[:, None], held_states(model, jnp.asarray(rows[:, 0], dtype), dt, ages), rest)
-    padded = np.pad(rows, ((0, 0), (0, -samples % 1024)), mode="edge")
-    runs = free_runs(model, on_device(padded, dtype), dt, start)
-    states, x = (np.asarray(a, np.float64)[:, :samples] for a in runs)
+    states, x = model_runs(model, rows, dt, np.asarray(start))
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = x * model.scales.state[0]
     return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that returns is a coincidence
