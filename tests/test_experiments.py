@@ -1,6 +1,7 @@
 """Scripts of the paper's tables and figures leave their table and figure; all others start, the short ones run."""
 
 import importlib
+import json
 import re
 import runpy
 import subprocess
@@ -110,3 +111,26 @@ def test_scripts_and_readme_name_each_other():
     readme = (EXPERIMENTS / "README.md").read_text()
     scripts = {path.name for path in EXPERIMENTS.glob("[a-z]*.py")}
     assert scripts == set(re.findall(r"^\| `(\w+\.py)", readme, re.M))
+
+
+@pytest.mark.parametrize(
+    ("effects", "equivalent", "verdict", "answer"),
+    [
+        (["creep"], [], "explained", "right"),
+        (["relaxation"], [], "explained", "right"),
+        (["drag"], ["creep"], "explained", "tied"),
+        (["drag"], [], "explained", "wrong"),
+        ([], [], "unknown", "unknown"),
+        ([], [], "no_gap", "wrong"),
+    ],
+)
+def test_the_guard_tells_right_from_wrong(tmp_path, monkeypatch, effects, equivalent, verdict, answer):
+    monkeypatch.syspath_prepend(str(EXPERIMENTS))
+    guard = importlib.import_module("diagnosis_guard")
+    (tmp_path / "gap").mkdir()
+    (tmp_path / "gap" / "truth.json").write_text(json.dumps({"cases": {"slow": {"effect": "creep"}}}))
+    named = {name: {"equivalent": equivalent} for name in effects}
+    found = {"verdict": verdict, "effects": effects, "equivalent": equivalent, "budget": {"effects": named}}
+    assert guard.judged("gap/slow", found, tmp_path) == answer
+    healthy = "right" if verdict == "no_gap" else "unknown" if verdict == "unknown" else "wrong"
+    assert guard.judged("healthy/one", found, tmp_path) == healthy
