@@ -4,12 +4,14 @@ from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
+import diagnosis_cases
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax.application.against import entry
 from pitp_jax.application.against.correction import corrections
 from pitp_jax.application.against.entry import simplest_model
 from pitp_jax.application.against.result import SimToReal
@@ -228,6 +230,53 @@ def test_a_third_pole_stands_as_a_lag_behind_two_in_the_robots_model(turning):
     rows = {p.name: p for p in parameters(third, robot, recordings(), None)}
     assert set(rows) == {"gain", "stiffness", "damping", "inertia", "a3"}
     assert all(abs(p.difference) < 0.02 * abs(p.robot) for p in rows.values() if p.name in ("damping", "inertia"))
+
+
+def _moved(records, command, output):
+    """The same log in registers that read these constants at rest."""
+    return [replace(r, voltage=r.voltage + command, displacement=r.displacement + output) for r in records]
+
+
+@pytest.mark.parametrize("constants", [(0.0, 0.0), (np.pi, np.pi), (0.0, 3.0), (0.004, -0.003)])
+def test_a_constant_of_the_log_is_no_distance(simulator, constants, monkeypatch):
+    """Raw ticks and ticks less 2048: the same model of the simulator, the same recordings for the diagnosis."""
+    plain, asked = recordings(A * [1.0, 1.2, 1.3], late=0.02), {}
+
+    def diagnosed(model, records, **options):
+        asked[constants if given is not plain else "plain"] = model, records
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(entry, "diagnose_model", diagnosed)
+    for given in (plain, _moved(plain, *constants)):
+        with pytest.raises(KeyboardInterrupt):
+            pitp.diagnose(given, against=recordings())
+    (model, records), (other, same) = asked["plain"], asked[constants]
+    np.testing.assert_allclose(other.physical_coefficients, model.physical_coefficients, rtol=1e-3)
+    if max(map(abs, constants)) > 1:  # smaller ones are left to each recording's sensor offset
+        for a, b in zip(records, same, strict=True):
+            np.testing.assert_allclose(b.displacement, a.displacement, atol=1e-3 * np.ptp(a.displacement))
+            np.testing.assert_allclose(b.voltage, a.voltage, atol=1e-3 * np.ptp(a.voltage))
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(0.3, "unknown"), (0.02, "no_gap")])
+def test_a_gap_below_the_error_of_the_simulators_model_is_unknown(simulator, own, verdict, monkeypatch):
+    found = diagnosis_cases.no_gap(diagnosis_cases.explained(simulator))
+    monkeypatch.setattr(entry, "diagnose_model", lambda model, records, **options: replace(found, model=model))
+    identified = pitp.identify(recordings(), order=2, input_map="linear")
+    monkeypatch.setattr(entry, "simplest_model", lambda simulated, real: (identified, own, 100.0))
+    told = pitp.diagnose(recordings(), against=recordings())
+    assert told.verdict == verdict and ("may hide" in told.robot.reason) == (verdict == "unknown")
+    assert told.budget["simulator"]["share"] >= 0
+
+
+def test_an_offset_of_the_log_is_printed(simulator):
+    found: Any = SimpleNamespace(
+        identification=SimpleNamespace(chosen=SimpleNamespace(heldout=0.5)),
+        pairs=SimpleNamespace(remarks=lambda *names: []),
+        parameters=(), simulator_share=(0.0, 0.0, 0.0), records=recordings(), offsets=(np.pi, 0.0), nominal=simulator,
+    )  # fmt: skip
+    (line,) = [line for line in SimToReal.remarks(found) if "Subtracted" in line]
+    assert "3.142 V from the commands." in line
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Diagnose recordings against a model, or against recordings of a simulator."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import overload
 
 import numpy as np
@@ -8,6 +9,7 @@ from jax.sharding import Mesh
 
 from ...common.errors import BadInput
 from ...common.metrics import e_rms_percent
+from ...common.units import base_unit
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.diagnosis import diagnose as diagnose_model
 from ...method.diagnose.joint import parameters
@@ -15,14 +17,18 @@ from ...method.identify.identification import Identification, identify
 from ...method.model.fitted import Fitted
 from ...method.model.lineage import descended
 from ...method.model.model import Model
+from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from ...method.signal.sets import check_records
 from ...method.simulate.prediction import predict
-from ..compare.pairing import pair_records
+from ..compare.pairing import Pairing, pair_records
 from ..compare.records import linear_model_of
 from .correction import corrections
 from .result import SimToReal
 
+_OWN = 2.0  # % of range: largest error of a lower order in the place of the simulator
+_HIDES = 0.5  # of the gap's rms: a larger error of the simulator's model could be the gap
+_OFFSET = 0.1  # of the range: a smaller constant difference is left to each recording's sensor offset
 _PART = 0.1  # of the gap's rms, below which the simulator's model is not the cause: 1 % of the energy
 
 
@@ -94,6 +100,10 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     if not pairs.pairs:
         name, why = pairs.first_alone[0]
         raise BadInput(f"no recording of the simulator has the same command as one of the robot; {name}: {why}")
+    offsets = constant_offsets(pairs)
+    if any(offsets):
+        real = [replace(r, voltage=r.voltage - offsets[0], displacement=r.displacement - offsets[1]) for r in real]
+        pairs = pair_records(real, simulated, shared="second")
     say = options["progress"]
     say("identifying the simulator")
     identified, own, gap = simplest_model(simulated, real)
@@ -109,18 +119,23 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     say("diagnosing the robot's recordings")
     robot = diagnose_model(nominal, real, refit_nominal=False, **options)
     robot_gap = max(robot.gap.before, 1e-12)
+    if robot.verdict == "no_gap" and _without_noise(own, simulated) > _HIDES * robot_gap:
+        robot = replace(robot, verdict="unknown", reason=(
+            f"The model of the simulator misses the simulator's own recordings by {own:.2g} % of range, and the "
+            f"difference to the robot is {robot_gap:.2g} %: it may hide in that error."
+        ))  # fmt: skip
     share = min((own / robot_gap) ** 2, 1.0)
     say("correction signals")
     return SimToReal(
         robot=robot, simulator=simulator, identification=identified, nominal=nominal, pairs=pairs,
         parameters=parameters(nominal, robot, real, position_gain),
         simulator_share=(share, 0.5 * share, min(2.0 * share, 1.0)),
-        records=tuple(real), corrections=tuple(corrections(nominal, real)),
+        records=tuple(real), corrections=tuple(corrections(nominal, real)), offsets=offsets,
     )  # fmt: skip
 
 
 def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
-    """Identify the simulator with the lowest order whose error is at most a tenth of its distance to the robot.
+    """Identify the simulator with the lowest order whose error is small: a tenth of its distance to the robot, or 2 %.
 
     A simulator has no noise to limit the order. Without this rule, an integrator's step and its hold became a third
     pole, and no parameter belonged to the joint.
@@ -130,12 +145,41 @@ def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple
     """
     best = linear_model_of(simulated)
     own, gap = _error(best.model, simulated), max(_error(best.model, real), 1e-12)
-    enough = [o.order for o in best.orders if own * o.rms <= _PART * gap * best.chosen.rms]
+    most = min(_PART * gap, _OWN)
+    enough = [o.order for o in best.orders if own * o.rms <= most * best.chosen.rms]
     order = min(enough, default=best.chosen.order)
     if order >= best.chosen.order:
         return best, own, gap
     lower = identify(simulated, order=order, input_map=best.model.input_map.name, learn=("delay",))
     return lower, _error(lower.model, simulated), max(_error(lower.model, real), 1e-12)
+
+
+def constant_offsets(pairs: Pairing) -> tuple[float, float]:
+    """Return the constants by which the robot's commands and outputs exceed the simulator's, base units.
+
+    Registers of a servo read 2048 at rest, which is no distance between robot and simulator. Below a tenth of the range
+    an offset is 0. Commands and outputs of one kind have one offset, unless the outputs differ by more.
+    """
+    rows, alike = [], False
+    for p in pairs.pairs:
+        a = p.first
+        if p.correlation > 0 and p.output_sign > 0:
+            off = float(np.nanmedian(a.voltage - p.command())), float(np.nanmedian(a.displacement - p.output()))
+            rows.append((*off, np.ptp(a.voltage), np.nanmax(a.displacement) - np.nanmin(a.displacement)))
+            alike = base_unit(a.voltage_unit) == base_unit(a.displacement_unit)
+    if not rows:
+        return 0.0, 0.0
+    (command, output), (wide, high) = np.median(rows, 0)[:2], np.max(rows, 0)[2:]
+    command = float(command) if abs(command) > _OFFSET * wide else 0.0
+    if alike and command and abs(output - command) < 2 * _OFFSET * high:
+        return command, command
+    return command, float(output) if abs(output) > _OFFSET * high else 0.0
+
+
+def _without_noise(percent: float, records: Sequence[Record]) -> float:
+    """Return an error, % of range, without the noise of these recordings."""
+    noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
+    return float(np.sqrt(max(percent**2 - np.mean(np.square(noise)), 0.0)))
 
 
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:

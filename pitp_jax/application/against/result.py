@@ -8,6 +8,7 @@ import numpy as np
 from ...common.numbers import number, of_range, shown_unit
 from ...common.page import Page, Section, Table
 from ...common.shown import data_frame
+from ...common.units import from_base
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.joint import Parameter, as_rows
 from ...method.diagnose.words import named
@@ -38,6 +39,7 @@ class SimToReal:
             interval.
         records: the robot's.
         corrections: added input per recording, base unit.
+        offsets: constants that were subtracted from the robot's commands and outputs, base units.
     """
 
     robot: Diagnosis
@@ -49,6 +51,7 @@ class SimToReal:
     simulator_share: tuple[float, float, float]
     records: tuple[Record, ...]
     corrections: tuple[np.ndarray, ...]
+    offsets: tuple[float, float] = (0.0, 0.0)
 
     @property
     def verdict(self) -> str:
@@ -99,6 +102,13 @@ class SimToReal:
                 f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
                 f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
             )
+        if any(getattr(self, "offsets", ())):
+            record, told = self.records[0], []
+            for word, value, unit in zip(
+                ("commands", "outputs"), self.offsets, (record.voltage_unit, record.displacement_unit), strict=True
+            ):
+                told += [f"{number(float(from_base(value, unit)), 4)} {unit} from the {word}"] if value else []
+            texts.append(f"Subtracted as the offset of the robot's log: {' and '.join(told)}.")
         if self.simulator_share[0] >= 0.05:
             texts.append(
                 f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."

@@ -13,7 +13,7 @@ is added to the simulator.
 Names: MuJoCo XML reference (joint, actuator); PhysxJointAxisAPI; Isaac Lab's actuator configurations; URDF <joint>.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, runtime_checkable
 
@@ -242,7 +242,7 @@ def parameters(
     return tuple(rows)
 
 
-def _is_determined(key: str, number: "_Number", parts: Sequence[Any]) -> bool:
+def _is_determined(key: str, number: "_Number", parts: Iterable[Any]) -> bool:
     """Return whether the diagnosis gives an interval for every parameter that this number is made of."""
     for part in parts:
         if part.effect not in number.causes:
