@@ -4,7 +4,8 @@
     a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
 Both errors contain the noise, so the difference of their squares is the error that training added. An addition below
-the noise does not reject a model whose mean error is smaller. The better of two models is worse on fewer records, then
+the noise does not reject a model whose mean error is smaller. A model with the better pooled log score, mean ln e_k, is
+kept although it is worse on a record. The better of two models is worse on fewer records, then
 has the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
 """
 
@@ -120,6 +121,12 @@ class Candidate:
         return after <= max(_LITTLE, _CLOSED * before)
 
     @property
+    def gain(self) -> float:
+        """Return the pooled log score over the nominal's: the mean log ratio of errors, none below the noise."""
+        before, after = (np.clip(np.maximum(e, self.noise), 1e-12, _DIVERGED) for e in (self.nominal, self.trained))
+        return float(np.mean(np.log(before / after)))
+
+    @property
     def errors(self) -> tuple[RecordError, ...]:
         """Return the errors of both models on every record."""
         columns = (self.nominal.tolist(), self.trained.tolist(), self.noise.tolist())
@@ -155,19 +162,26 @@ def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
 def kept(
     best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
 ) -> tuple[Candidate, list[str], str | None]:
-    """Choose a model that is worse on no record; return it, lines on failures, and the name of a replacement.
+    """Choose the trained model if its pooled log score is better; otherwise one that is worse on no record.
+
+    Return it, lines on records that are worse and on failures, and the name of a replacement.
 
     `between`: models from this one towards the nominal, which comes last.
     """
     chosen = best
+    lost = ", ".join(
+        f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
+    )
+    if lost and best.gain > 0:
+        return best, [
+            f"the trained model is worse than the nominal model on {lost}, and better over all recordings (a geometric "
+            f"mean of {np.exp(-best.gain):.2g} times its error): it is returned"
+        ], None  # fmt: skip
     if best.rank[0]:
         tried = [compare(m) for m in between(best.model)]
         # the nominal, last, is nowhere worse than itself, so there is always a result
         good = [c for c in tried[:-1] if c.rank[0] == 0]
         chosen = min(good, key=lambda c: c.mean) if good else tried[-1]
-        lost = ", ".join(
-            f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
-        )
         lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
         what = "a model between it and the nominal" if good else "the nominal itself"
         return chosen, [f"training failed: the best start is worse than the nominal model on {lost}, so {what} is "

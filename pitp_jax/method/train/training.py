@@ -95,8 +95,9 @@ def train(
 ) -> Training:
     """Train an encoder on records, with initial weights for which the model equals the nominal one.
 
-    On every training record the model is at most 1 % worse than the nominal. If no start achieves this, the nominal is
-    returned in the trained model's form, and `fallback` reports it. Oversampled records are first averaged over blocks
+    The model has smaller errors than the nominal, pooled over the training records (mean logarithm); `problems` names
+    those on which it is over 1 % worse. If no start achieves this, the nominal is returned in the trained model's form,
+    and `fallback` reports it. Oversampled records are first averaged over blocks
     (`reduce_rate`); the model remains valid for their own rate.
 
     Args:
