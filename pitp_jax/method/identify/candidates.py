@@ -82,7 +82,7 @@ def search(
             continue
         candidates += here
         best = min(here, key=lambda c: c.score)
-        progress(f"order {order}: {100 * best.score:.3g} % of the output's deviation unexplained on held-out blocks")
+        progress(f"order {order}: error {100 * best.score:.3g} % of the output's deviation on held-out blocks")
     return candidates
 
 
