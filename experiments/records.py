@@ -7,8 +7,8 @@
     python experiments/records.py [SET ...] [--data ../shared] [--out records.json] [--page docs/records.md] [--smoke]
 
 Every set has the same options; file names, the input map, and the length of the start differ. A finished set is not run
-again. Errors are the rms over the scored samples, no mean removed, in the file's unit and in % of their deviation (NRMSE).
-Sources and licences of the data: the page names them; the data is not part of the project.
+again. Errors: rms over the scored samples, no mean removed, in the file's unit and in % of their deviation (NRMSE).
+The data is not part of the project; the page names sources and licences.
 """
 
 import argparse
@@ -26,7 +26,7 @@ from matplotlib.figure import Figure
 
 HERE = Path(__file__).resolve().parent
 SPLIT = 0.7  # of every training recording, for the choice of the model
-# name: (training files, test files, input map, samples of the start, unit of the table and its factor, goal, best published)
+# name: (training files, test files, input map, samples of the start, (unit, factor), goal, best published)
 SETS = {
     "silverbox": (
         ["multisine_train"], ["multisine_test", "arrow_full_test", "arrow_no_extrapolation_test"], "linear", 50,
@@ -135,7 +135,7 @@ def run(name: str, data: Path, keep: Path, note) -> dict:
     runs = free_runs(made[chosen], [data / name / f"{f}.csv.gz" for f in test], start)
     draw(name, runs)
     return {
-        "folds": folds, "chosen": chosen, "test": errors(runs), "parts": pitp("info", made[chosen]).strip().splitlines(),
+        "folds": folds, "chosen": chosen, "test": errors(runs), "parts": pitp("info", made[chosen]).splitlines(),
         "cpu_s": {"training": round(trained, 1), "prediction": round(cpu_seconds() - began - trained, 1)},
         "version": re.sub(r"[^\d.]", "", pitp("--version")),
     }  # fmt: skip
