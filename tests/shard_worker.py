@@ -12,6 +12,7 @@ from pitp_jax.method.fit.forward_sensitivity import Runs, run_slopes
 from pitp_jax.method.fit.free_run_problem import FreeRuns
 from pitp_jax.method.fit.parameters import parameters
 from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.invert.inverse import sharded_inverse
 from pitp_jax.method.model.domain import Domain
 from pitp_jax.method.model.encoder import CompactEncoder
 from pitp_jax.method.model.input_map import SquareInput

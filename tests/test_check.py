@@ -146,7 +146,7 @@ def test_whatever_is_given_the_json_is_strict_and_every_record_is_there(good):
     strange = {"other": "sampled at", "volts": "in V", "flat": "never changes"}
     still = replace(good[0], name="still", displacement=NOISE * np.random.default_rng(2).standard_normal(SAMPLES))
     for records in ([*good, flat, other, volts, still], [flat], [still], [other], good[:1]):
-        found = checked(records, None, {"broken": "broken.csv: no such column"})
+        found = checked(records, {"broken": "broken.csv: no such column"})
         told = json.loads(json.dumps(found.as_json(), allow_nan=False))
         assert set(told) == {"records", "advice"}
         assert set(told["records"]) == {r.name for r in records} | {"broken"}

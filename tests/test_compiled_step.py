@@ -141,7 +141,7 @@ def test_functions_keep_infinities_and_nan():
         np.testing.assert_array_equal(y, np.array(truth, float))
 
 
-MIXED = lagging(lambda p, s, u: jnp.sin(p[0] * u) + jnp.where(s[0] > 0, jnp.exp(s[1]), s[2] / p[1]))
+MIXED = lagging(lambda p, s, u: jnp.sin(p[0] * u) + jnp.asarray(jnp.where(s[0] > 0, jnp.exp(s[1]), s[2] / p[1])))
 
 
 def parts():
@@ -231,7 +231,7 @@ def test_without_machine_code_the_scan_runs(missing, monkeypatch):
 
 @pytest.fixture
 def folder(tmp_path):
-    before = jax.config.jax_compilation_cache_dir
+    before = jax.config.jax_compilation_cache_dir  # pyright: ignore[reportAttributeAccessIssue]
     jax.config.update("jax_compilation_cache_dir", str(tmp_path))
     yield tmp_path / "steps"
     jax.config.update("jax_compilation_cache_dir", before)

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from diagnosis_cases import T, where
 from matplotlib.patches import Rectangle
@@ -28,11 +29,13 @@ def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
     part = figures.telling(worst(explained))
     assert T[part.start] >= 1.9 and 1.5 < (part.stop - part.start) / 500 <= 2.1  # six of 3 Hz, after 2 s
     axes = figures.gap(explained)[0].axes
-    labels = [text.get_text() for text in axes[0].get_legend().get_texts()]
+    legend = axes[0].get_legend()
+    assert legend is not None
+    labels = [text.get_text() for text in legend.get_texts()]
     assert labels == ["measured", "model as given", "with electrode_rc"]
     assert axes[0].get_ylabel() == "displacement (mm)"
-    assert max(axes[0].lines[0].get_ydata()) == pytest.approx(1.0, rel=0.01)
-    assert max(axes[1].lines[0].get_ydata()) == pytest.approx(0.2, rel=0.01)
+    assert np.max(axes[0].lines[0].get_ydata()) == pytest.approx(1.0, rel=0.01)
+    assert np.max(axes[1].lines[0].get_ydata()) == pytest.approx(0.2, rel=0.01)
     before, after = errors(explained.traces[2])
     assert before == pytest.approx(100 * 2e-4 / 2 / 2e-3, rel=0.02) and after == pytest.approx(before / 50)
 

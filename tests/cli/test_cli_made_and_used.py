@@ -4,6 +4,7 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,8 +51,9 @@ def of_another_order(bench, out):
     """What a diagnosis hands back of a nominal of order 1 with standard errors, where the machine has a mass."""
     first = out.with_name("first")
     identified(bench, first, order=1)
-    nominal = load(first)
-    assert len(fitted_of(nominal).origin.stderr) == 2
+    fitted = fitted_of(load(first))
+    assert len(fitted.origin.stderr) == 2
+    nominal: Any = fitted  # a model with its origin, where a model is asked for
     slots = slots_of(nominal.model)[0]
     made, _ = model_of(slots, np.where(np.arange(len(slots)) == 2, 0.05, slots), nominal, _UNIT)
     assert made.order == 2

@@ -47,11 +47,9 @@ def check(records, out, json_file, reading) -> None:
 
 def _write(result: Check, files: dict[str, str], folder: Path) -> None:
     for record in result.understood:
-        signals = {
-            "voltage": (record.voltage, base_unit(record.voltage_unit)),
-            "displacement": (record.displacement, base_unit(record.displacement_unit)),
-        }
-        write_signals(folder / files[record.name], record.time, **signals)
+        voltage = record.voltage, base_unit(record.voltage_unit)
+        displacement = record.displacement, base_unit(record.displacement_unit)
+        write_signals(folder / files[record.name], record.time, voltage=voltage, displacement=displacement)
     write_text_atomic(folder / PAGE, page(result))
     said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
     write_text_atomic(folder / SOURCE, folder_file(said))

@@ -49,8 +49,8 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
             for drive, x, file in zip(drives, runs, files, strict=True):
-                signals = {"voltage": (drive.voltage, drive.voltage_unit), "displacement": (x, unit)}
-                write_signals(stage / file, drive.time, **signals)
+                voltage = drive.voltage, drive.voltage_unit
+                write_signals(stage / file, drive.time, voltage=voltage, displacement=(x, unit))
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
     table = []
     for name, row in rows.items():

@@ -284,7 +284,7 @@ def _programs(square: bool) -> tuple[Callable, Callable]:
         plant, effects, before = Plant(*p[3:plant_ends]), effects_of(p), state[-1]
         once = [e.once(plant.h) for e in effects]
         inner = (*state[:3], [state[a:b] for a, b in pairwise(ends)])
-        y = jnp.where(jnp.abs(inner[0]) >= FAR, jnp.nan, _reading(effects, inner))
+        y = jnp.where(jnp.abs(state[0]) >= FAR, jnp.nan, _reading(effects, inner))
         x, v, speed, parts = _step(square, p[0], p[1:3], effects, once, plant, inner, before, after)
         return jnp.concatenate([jnp.stack([x, v, speed]), *parts, after[None]]), y
 

@@ -177,8 +177,8 @@ def identify(
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')
     """
-    if input_map is None and len(records):
-        input_map = usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    if input_map is None:
+        input_map = usual_input_map(records[0].voltage_unit, records[0].displacement_unit) if len(records) else "square"
     _check_options(order, input_map, hold, learn, leave_out)
     check_set(records)
     check_motion(records)

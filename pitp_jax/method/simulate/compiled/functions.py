@@ -10,6 +10,7 @@ e(r) and s(r) are their Taylor series. exp and expm1 are exact to 2 units in the
 import math
 from abc import abstractmethod
 from collections.abc import Iterable
+from typing import Any
 
 from ...numerics.scalar.scalars import Node
 
@@ -27,7 +28,7 @@ class Functions:
     loose = False
 
     @abstractmethod
-    def op(self, op: str, *values):
+    def op(self, op: str, *values) -> Any:
         """Write one operation; return its value."""
 
     def write(self, nodes: Iterable[Node], values: dict) -> None:

@@ -12,6 +12,7 @@ laws may be re-ordered (`reassoc arcp`), so that reciprocals and products of par
 import struct
 from collections.abc import Iterable, Sequence
 from itertools import count
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +75,7 @@ class Vectors(Functions):
         """Return the type of a value: truths or numbers."""
         return self.M if isinstance(a, (bool, np.bool_)) or a in self.truths else self.V
 
-    def op(self, op, *values):
+    def op(self, op: str, *values) -> Any:
         """Write one operation of a program; return its value."""
         a = [self.value(x) for x in values]
         if op in _ARITHMETIC:
@@ -131,7 +132,8 @@ class Vectors(Functions):
                 values[n] = values[n.args[0]][n.args[1]]
             else:
                 arguments = [values[a] if isinstance(a, Node) else a for a in n.args]
-                values[n] = self._loop(n.block, arguments) if n.op == "loop" else self._matrix(n.block, arguments)
+                block: Any = n.block
+                values[n] = self._loop(block, arguments) if n.op == "loop" else self._matrix(block, arguments)
         super().write(simple, values)
 
     def reserve(self, numbers: int) -> str:
