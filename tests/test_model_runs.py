@@ -113,7 +113,7 @@ def test_machine_code_equals_the_scan(kind):
     """2,000 steps in float64; and the float32 rollout of the public path, to its rounding."""
     step, parameters, start, inputs, column = arguments(kind)
     found, scan = (way(step, parameters, start, inputs, column) for way in (free_runs, scanned_runs))
-    assert np.ptp(scan[..., 0]) > 0.1
+    assert np.ptp(scan[..., 0]) > 1e-4  # a linear input moves little on the scales of a square one
     np.testing.assert_allclose(found, scan, rtol=0, atol=1e-12 * np.abs(scan).max())
     public = rollout_batch(kind, jnp.asarray(VOLTS, jnp.float32), DT, jnp.asarray(start, jnp.float32))
     np.testing.assert_allclose(found[..., 0], public[..., 0], rtol=0, atol=1e-3 * np.abs(scan[..., 0]).max())
