@@ -397,3 +397,34 @@ def test_one_function_decides_how_a_record_starts():
             users.setdefault(name, set()).add(path.relative_to(package).as_posix())
     assert users["estimate_start"] == {"method/identify/beginnings.py", "method/simulate/beginnings.py"}
     assert users["standing_drive"] == {"method/signal/start.py"}
+
+
+def test_a_joint_that_sticks_before_a_small_motion_reverses_no_sensor():
+    """Its first motions are small and late beside the model's; both directions err alike, so the usual one stays."""
+    times = np.arange(400) * DT
+    drive = np.where(times < 0.2, 0.5, 0.5 + 0.02 * np.sin(2 * np.pi * 2 * (times - 0.2)))
+    y = 0.58 - 0.002 * np.clip(np.sin(2 * np.pi * 2 * (times - 0.2)), 0, 1) * (times > 0.2)
+    part, omega = first_part(Record("stuck", times, drive, y), OMEGA), OMEGA
+    rest, held = (
+        0.14 + 0.8 * lsim(([omega], [1, omega]), part.voltage - u, np.arange(part.samples) * DT)[1] + 0.8 * u - 0.14
+        for u in (0.0, part.voltage[0])
+    )
+    found = estimate_start(part, Response(rest, held, np.array([-omega]), omega, (0.14,), direction=1.0))
+    assert (found.begins, found.direction) == ("held", 1.0)
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_a_slow_plant_in_motion_keeps_the_known_offset_beside_a_wrong_model(seed):
+    """The drive changes from the first sample, far from the plant's equilibrium; the model is 15 % wrong."""
+    rng, omega, step = np.random.default_rng(900 + seed), 0.01, 4.0
+    times = np.arange(1200) * step
+    drive = 1.5 + sum(rng.uniform(0.3, 0.6) * np.sin(w * omega * times + rng.uniform(0, 6)) for w in (0.3, 0.8, 1.7))
+    plant = ([2.0], [1 / omega**2, 2.2 / omega, 1])
+    x = of_kind(tuple, lsim(plant, drive, times))[1] - 6.0
+    r = Record("tank", times[:1024], drive[176:], x[176:] + 0.01 * rng.standard_normal(1024))
+    wrong = ([2.0 * 1.15], [1 / (1.15 * omega) ** 2, 2.2 / omega, 1])
+    part = first_part(r, omega)
+    t = np.arange(part.samples) * step
+    rest, held = (of_kind(tuple, lsim(wrong, part.voltage - u, t))[1] + 2.3 * u for u in (0.0, part.voltage[0]))
+    found = estimate_start(part, Response(rest, held, np.roots(wrong[1]), omega, (-6.0,), direction=1.0))
+    assert (found.direction, found.zero) == (1.0, -6.0)

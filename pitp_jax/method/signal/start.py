@@ -1,13 +1,12 @@
-"""Estimate how a recording starts, with sensor offset and direction, by likelihood beside the response of any model.
+"""Estimate how a recording starts, with sensor offset and direction, from the free runs of any model.
 
-    y = d (x_k(t - lag) + A c) + z + e      k: rest | held (settled at u(0)) | moving;    A: free responses of the modes
+    y = d (x_k(t) + A c) + z + e        k: rest | held (settled at u(0)) | moving;    A: free responses of the modes
     e ~ N(0, s^2 I + a^2 C_1 + eta^2 m m' o C_2)       C_1 = exp(-omega |t - t'|),    C_2 = exp(-(omega (t - t'))^2 / 2)
     m(t) = motion until t + 2 / omega, times min(1, omega t)^2: a model's error has neither value nor velocity at t = 0
-    z ~ N(z_0, tau^2): half of all recordings have a known offset, the others any;    c ~ N(0, span^2), 0 unless moving
 
-The first period of motion decides between rest, settled and moving. Later a free initial state also explains the error
-of a wrong model (a lag that it does not have made a start from rest a moving one). Offset and direction come from four
-periods. The scales a and eta, the lag, c, z and d are nuisance parameters. Starts in motion are the exception.
+The error of the free run over all of these samples decides where another start, offset or direction is clearly better.
+Between starts whose free runs err alike, the first period decides with the errors e: later a free initial state also
+explains the error of a wrong model (a lag that it does not have made a start from rest a moving one).
 """
 
 from collections.abc import Sequence
@@ -15,11 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import cho_factor, solve_triangular
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
-from ..numerics.coloured_noise import block_means
+from ..numerics.coloured_noise import block_means, project
 from .initial_state import Beginning, Begins, first_known, noise_std, rest_level, standing_drive
 from .record import Record
 
@@ -31,7 +30,9 @@ _COLOURED = np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1])  # a: slow noise of t
 _LAGS = (0.0, 0.3, 1.0)  # rad of the dominant mode, by which the plant may follow the model
 _MOVING = 0.1  # probability of a start in motion in proportion to one at rest, and to a settled one
 _REVERSED = 0.01  # probability that a sensor is reversed, if the model's direction is known
-_SAME = 0.002  # of the span: least error of a known offset
+_POSSIBLE = 0.25  # least probability, after the first period, of a start in motion that the whole free run may select
+_CLEARLY, _TURNED = 0.5, 0.7  # rms error of a free run that is clearly better; of one with the other direction
+_SAME, _NEAR = 0.002, 4.0  # of the span, and standard errors: distance of an offset at rest from a known one
 _GROWN = 5.0  # log of the largest growth of an unstable mode
 _FINEST, _FAR = 1e-4, 10.0  # of the span: least noise; largest error of a model that diverges
 
@@ -99,56 +100,105 @@ def _samples(record: Record, kept: np.ndarray) -> Record:
 
 
 @dataclass(frozen=True)
-class _Fit:
-    """One sensor direction, with a known offset or its own: log evidence, offset, its error, first reading."""
+class _FreeRun:
+    """One hypothesis: kind of start and direction, with the offset, first reading and rms error of its free run."""
 
+    kind: Begins
     direction: float
-    evidence: float
-    own: bool
     zero: float
-    stderr: float
     level: float
+    error: float
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # at 160 blocks two threads take four times the CPU time of one
 def estimate_start(part: Record, response: Response) -> Beginning:
-    """Return the most probable start of a recording, with sensor offset, its standard error, and sensor direction.
+    """Return the start of a recording, with sensor offset, its standard error, and sensor direction.
 
     Args:
         part: the `first_part` of a recording.
         response: of a model to the input of this part.
     """
-    kinds: list[Begins] = ["moving"]
-    if first_known(part) == 0:
-        kinds.append("rest")
-        if standing_drive(part)[1] != 0 and _settled_differs(part, response):
-            kinds.append("held")
-    period = 2 * np.pi / (response.omega * part.dt)
-    first = int(max(_first_moved(part) + period + 1, _FEWEST))
-    evidence = [logsumexp([f.evidence for f in _fits(part, response, k, first, _LAGS)]) for k in kinds]
-    evidence[0] += np.log(_MOVING)
-    kind = kinds[int(np.argmax(evidence))]
-    certainty = float(np.exp(max(evidence) - logsumexp(evidence)))
-    # A long lag may be half a period, which reverses a motion. So it has no part in the direction.
-    fits = _fits(part, response, kind, part.samples, _LAGS[:2])
-    if response.direction and not _opposes(part, response):
-        fits = [f for f in fits if f.direction == response.direction]
-    # four periods of a motion do not separate an own offset from memories (creep) that were charged before
-    known = [f for f in fits if not f.own] if kind == "moving" else []
-    best = max(known or fits, key=lambda f: f.evidence)
-    zero, stderr = best.zero, best.stderr
-    if kind == "rest" and best.own:
-        # the first samples alone contain no error of the model; a misfit shifts their level by 1 to 2 standard errors
-        zero, stderr = rest_level(part)
-        stderr *= 1.5
-    return Beginning(kind, best.direction, zero, stderr, certainty=certainty, level=best.level)
+    kinds = _possible(part, response)
+    evidence = [_evidence(part, response, k) + (np.log(_MOVING) if k == "moving" else 0.0) for k in kinds]
+    probability = dict(zip(kinds, np.exp(np.array(evidence) - logsumexp(evidence)), strict=True))
+    first = max(kinds, key=lambda k: probability[k])
+    certainty = float(probability[first])
+    best = {k: _directed([_free_run(part, response, k, d) for d in (1.0, -1.0)], response.direction) for k in kinds}
+    run, least = (
+        best[first],
+        min(
+            (best[k] for k in kinds if k != "moving" or probability[k] > _POSSIBLE),
+            key=lambda r: r.error,
+            default=best[first],
+        ),
+    )
+    if least.error < _CLEARLY * run.error:
+        run, certainty = least, 1.0
+    return _with_offset(part, response, run, certainty)
 
 
-def _opposes(part: Record, response: Response) -> bool:
-    """Return whether the reading and the model's response in its usual direction correlate negatively."""
-    seen = part.observed & np.isfinite(response.rest)
-    y, run = part.displacement[seen], response.rest[seen]
-    return bool(response.direction * ((y - y.mean()) @ (run - run.mean())) < 0)
+def _possible(part: Record, response: Response) -> list[Begins]:
+    """Return the kinds of start that the data alone allow."""
+    if first_known(part) > 0:
+        return ["moving"]
+    stands, level = standing_drive(part)
+    is_flat = stands >= _FEWEST and _first_moved(part) >= stands
+    kinds: list[Begins] = ["rest"] if is_flat else ["moving", "rest"]
+    if level != 0 and _settled_differs(part, response):
+        kinds.append("held")
+    return kinds
+
+
+def _directed(runs: Sequence[_FreeRun], usual: float) -> _FreeRun:
+    """Return the free run with the smaller error; that of the usual direction unless the other is clearly better."""
+    best = min(runs, key=lambda r: r.error)
+    if not usual or best.direction == usual:
+        return best
+    same = next(r for r in runs if r.direction == usual)
+    return best if best.error < _TURNED * same.error else same
+
+
+def _free_run(part: Record, response: Response, kind: Begins, direction: float, zero: float | None = None) -> _FreeRun:
+    """Return the free run of one hypothesis, with an offset fitted to all samples or a given one."""
+    seen = part.observed
+    run = direction * _simulated(response, kind)
+    free = _free(response.poles, part.dt * np.arange(part.samples)) if kind == "moving" else np.empty((part.samples, 0))
+    one = np.ones((part.samples, int(zero is None)))
+    columns = np.column_stack([free, one])
+    factors, error = project(part.displacement[seen] - run[seen] - (zero or 0.0), columns[seen])
+    offset = float(factors[-1]) if zero is None else zero
+    level = offset + float(run[0] + free[0] @ factors[: free.shape[1]])
+    return _FreeRun(kind, direction, offset, level, float(np.sqrt(np.mean(error**2))))
+
+
+def _simulated(response: Response, kind: Begins) -> np.ndarray:
+    """Return the response that a kind of start begins with; 0 if the model diverges, because it explains no motion."""
+    run = response.rest if kind == "rest" or not np.isfinite(response.held).all() else response.held
+    return run if np.isfinite(run).all() else np.zeros(len(run))
+
+
+def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: float) -> Beginning:
+    """Decide between the offset of a record's own and a known one; return the start.
+
+    A record at rest shows its own in the first samples alone, which contain no error of the model. Otherwise a few
+    periods do not separate it from the error of the model's equilibrium or from memories (creep) that were charged
+    before, so a known one stays unless its free run is clearly worse.
+    """
+    known = [_free_run(part, response, run.kind, run.direction, z) for z in response.zeros]
+    if run.kind == "moving":
+        best = min(known, key=lambda r: r.error) if known else run
+        best = run if run.error < _CLEARLY * best.error else best
+        return Beginning(run.kind, run.direction, best.zero, run.error, certainty=certainty, level=best.level)
+    level, stderr = rest_level(part)
+    span = float(np.ptp(part.displacement[part.observed]))
+    own = level - run.direction * float(_simulated(response, run.kind)[0])
+    if run.kind == "rest":
+        known = [r for r in known if abs(r.zero - own) < min(_NEAR * stderr, 0.015 * span) + _SAME * span]
+    else:
+        error = _free_run(part, response, run.kind, run.direction, own).error
+        known = [r for r in known if error > _CLEARLY * r.error]
+    zero = min(known, key=lambda r: r.error).zero if known else own
+    return Beginning(run.kind, run.direction, zero, 1.5 * stderr, certainty=certainty, level=level)
 
 
 def _settled_differs(part: Record, response: Response) -> bool:
@@ -157,19 +207,20 @@ def _settled_differs(part: Record, response: Response) -> bool:
     return bool(np.isfinite(response.held).all() and np.abs(response.held - response.rest).max() > least)
 
 
-def _fits(part: Record, response: Response, kind: Begins, samples: int, lags: Sequence[float]) -> list[_Fit]:
-    """Return the evidence of every sensor direction and offset prior for one kind of start, from the first samples."""
+def _evidence(part: Record, response: Response, kind: Begins) -> float:
+    """Return the log evidence of one kind of start over the first period of motion."""
+    period = 2 * np.pi / (response.omega * part.dt)
+    samples = int(max(_first_moved(part) + period + 1, _FEWEST))
     y, seen, omega = part.displacement[:samples], part.observed[:samples], response.omega
     span = float(np.ptp(part.displacement[part.observed])) or 1.0
     # a record may be shorter than a block of a slow mode
     size = int(max(min(2 * np.pi / omega / part.dt / _PER_PERIOD, len(y) / _FEWEST), len(y) / _BLOCKS, 1))
     time = part.dt * np.arange(len(y))
     free = span * _free(response.poles, time) if kind == "moving" else np.empty((len(y), 0))
-    run = (response.rest if kind == "rest" or not np.isfinite(response.held).all() else response.held)[: len(y)]
-    run = run if np.isfinite(run).all() else np.zeros(len(y))  # a model that diverges explains no motion
+    run = _simulated(response, kind)[: len(y)]
     growth = np.minimum(1.0, omega * time) ** min(len(response.poles), 2)
     columns = np.column_stack(
-        [np.where(seen, y, 0.0), time, growth, free, *(_lagged(run, omega * part.dt, g) for g in lags)]
+        [np.where(seen, y, 0.0), time, growth, free, *(_lagged(run, omega * part.dt, g) for g in _LAGS)]
     )
     means, share = block_means(columns, seen.astype(float), size)
     means, share = means[share > 0], share[share > 0]
@@ -184,17 +235,15 @@ def _fits(part: Record, response: Response, kind: Begins, samples: int, lags: Se
     model = np.outer(motion, motion) * np.exp(-0.5 * apart**2)
     errors = [np.diag(noise**2 / share) + (a * span) ** 2 * np.exp(-apart) + eta**2 * model
               for a in _COLOURED for eta in _ERRORS]  # fmt: skip
-    fits, directions = [], np.array([1.0, -1.0])
-    for known in (None, *response.zeros):
-        z, tau = (float(output[0]), span) if known is None else (known, max(_SAME * span, noise))
-        columns = np.column_stack([np.full(len(output), tau), modes])
-        targets = (output - z)[:, None, None] - directions[:, None] * runs[:, None]
-        for d, (evidence, c, variance) in zip(directions, _marginal(targets, columns, errors), strict=True):
-            evidence += _log_prior(response, known, d)
-            zero = z + tau * float(c[0]) if known is None else z
-            level = z + d * float(run[0]) + float(np.append(tau, free[0]) @ c)
-            fits.append(_Fit(float(d), evidence, known is None, zero, tau * float(np.sqrt(variance)), level))
-    return fits
+    directions = np.repeat([1.0, -1.0], len(_LAGS))
+    against = output[:, None] - directions * np.tile(runs, 2)
+    prior = np.where(directions == response.direction, 1 - _REVERSED, _REVERSED if response.direction else 0.5)
+    offsets = [(float(output[0]), span), *((z, max(_SAME * span, noise)) for z in response.zeros)]
+    scores = [
+        _marginal(against - z, np.log(prior), np.column_stack([np.full(len(output), tau), modes]), errors)
+        for z, tau in offsets
+    ]
+    return float(logsumexp(scores) - np.log(len(scores)))
 
 
 def _free(poles: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -211,34 +260,20 @@ def _lagged(run: np.ndarray, step: float, lag: float) -> np.ndarray:
     return run[0] + np.asarray(scipy.signal.lfilter([1 - pole], [1, -pole], run - run[0]))
 
 
-def _log_prior(response: Response, known: float | None, direction: float) -> float:
-    log = np.log(0.5 / max(len(response.zeros), 1)) if response.zeros else 0.0
-    if response.direction:
-        log += np.log(1 - _REVERSED if direction == response.direction else _REVERSED)
-    return float(log)
+def _marginal(targets: np.ndarray, prior: np.ndarray, columns: np.ndarray, errors: Sequence[np.ndarray]) -> float:
+    """Return the log evidence of several targets and equally probable covariances.
 
-
-def _marginal(targets: np.ndarray, columns: np.ndarray, errors: Sequence[np.ndarray]) -> list[tuple]:
-    """Return log evidence, columns' factors and the first one's variance, for every direction.
-
-    Covariances and lags are equally probable; factors and variance are those of the best ones. The prior variance of
-    every factor is 1.
+    The prior variance of every column's factor is 1.
 
     Args:
-        targets: shape (T, directions, lags).
+        targets: shape (T, hypotheses).
+        prior: logs of their probabilities, shape (hypotheses,).
         columns: shape (T, factors).
         errors: covariances, shapes (T, T).
     """
-    flat, scores, factors, variances = targets.reshape(len(targets), -1), [], [], []
+    scores = []
     for error in errors:
         factor = cho_factor(error + columns @ columns.T, lower=True)
-        solved = cho_solve(factor, np.column_stack([flat, columns[:, 0]]))
-        scores.append(-0.5 * (flat * solved[:, :-1]).sum(0) - np.log(np.diag(factor[0])).sum())
-        factors.append(columns.T @ solved[:, :-1])
-        variances.append(max(1 - float(columns[:, 0] @ solved[:, -1]), 0.0))
-    found = []
-    for d, score in enumerate(np.reshape(scores, (len(errors), *targets.shape[1:])).swapaxes(0, 1)):
-        k, lag = np.unravel_index(np.argmax(score), score.shape)
-        c = factors[k][:, d * targets.shape[2] + lag]
-        found.append((float(logsumexp(score)) - np.log(score.size), c, variances[k]))
-    return found
+        white = solve_triangular(factor[0], targets, lower=True)
+        scores.append(prior - 0.5 * (white**2).sum(0) - np.log(np.diag(factor[0])).sum())
+    return float(logsumexp(scores) - np.log(np.size(scores)))
