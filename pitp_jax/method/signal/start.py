@@ -187,7 +187,6 @@ def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: flo
     known = [_free_run(part, response, run.kind, run.direction, z) for z in response.zeros]
     if run.kind == "moving":
         best = min(known, key=lambda r: r.error) if known else run
-        best = run if run.error < _CLEARLY * best.error else best
         return Beginning(run.kind, run.direction, best.zero, run.error, certainty=certainty, level=best.level)
     level, stderr = rest_level(part)
     span = float(np.ptp(part.displacement[part.observed]))
