@@ -4,11 +4,11 @@
     settings: the models of the first 70 % of every training recording, judged on the rest; the best is made from all
     test: opened once, after the choice is in the JSON; the first samples give the initial state and do not count
 
-    python experiments/records.py [SET ...] [--data ../shared] [--out records.json] [--page docs/records.md] [--smoke]
+    python experiments/records.py [SET ...] [--data ../shared] [--out records.json] [--smoke]
 
 Every set has the same options; file names, the input map, and the length of the start differ. A finished set is not run
 again. Errors: rms over the scored samples, no mean removed, in the file's unit and in % of their deviation (NRMSE).
-The data is not part of the project; the page names sources and licences.
+The data is not part of the project.
 """
 
 import argparse

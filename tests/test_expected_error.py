@@ -92,6 +92,6 @@ def test_trained_model_has_the_errors_of_recordings_left_out():
     assert header_problems({**describe(kept), "leaves": []}) == []
 
 
-@pytest.mark.parametrize("model", [known(), known((8.0, 1e-3, 1e-6), step="diagnose"), Fitted(MODEL, Origin())])
+@pytest.mark.parametrize("model", [known(), Fitted(MODEL, Origin())])
 def test_no_figure_where_none_was_measured(model):
     assert expected_error(model, sine(8.0, 1e-3), DT) is None

@@ -95,8 +95,15 @@ def test_the_order_of_day_and_month_is_asked_where_both_go_on():
 def test_a_drive_without_unit_competes_with_its_monitor(tmp_path, drive):
     rows = [f"{row.split(',')[0]},{b:.0f},{b / 1000},{c:.6f}" for row, b, c in zip(ROWS, VOLTAGE, OUTPUT, strict=True)]
     message = refused_csv(tmp_path, f"time_s,{drive},monitor_V,displacement_mm\n" + "\n".join(rows))
-    assert "two columns may be the input" in message and "--input-unit UNIT" in message
-    assert "--input-column HV" in message or drive != "HV"
+    assert "two columns may be the input" in message and f"'{drive}', 'monitor_V'" in message
+    # proposed is the first of them by role; "amplifier output" is named like an output, so its monitor comes first
+    proposed = message.partition("; try: ")[2]
+    first = (
+        "--input-column monitor_V --input-scale SCALE"
+        if drive == "amplifier output"
+        else f"--input-column {drive} --input-unit UNIT"
+    )
+    assert first in proposed
 
 
 def test_a_voltage_needs_two_rows(tmp_path):

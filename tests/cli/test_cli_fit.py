@@ -163,7 +163,7 @@ def test_fit_identifies_on_sweeps_else_on_all(call, bench, tmp_path, trainer, qu
     code, _, err = call("fit", bench / "records", "--out", tmp_path / "m", "--order", "2")
     assert code == 0
     assert quick_identify[0][0] == (found or ["sine2", "sine4", "sweep"])
-    assert quick_identify[0][1] | {"order": 2, "input_map": "square"} == quick_identify[0][1]
+    assert quick_identify[0][1] | {"order": 2, "input_map": None} == quick_identify[0][1]  # identify chooses by unit
     assert ("1 recording (sweep)" if found else "no recording is a sweep") in err
     assert trainer.calls[0][1] == ["sine2", "sine4", "sweep"]
 

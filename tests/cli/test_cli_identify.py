@@ -34,7 +34,9 @@ def test_identify_validates_and_draws(call, bench, tmp_path):
     assert told["validation"]["sine2"]["nrmse_percent"] < 1
     assert all(order["delay"] == 0 for order in told["orders"])
     page = next((tmp_path / "page").glob("*.html")).read_text()
-    assert "Order 2 was asked for." in page and "on 1 recording<" in page and page.count("<svg") == 3
+    assert (
+        "Order 2 was asked for." in page and "on 1 recording<" in page and page.count("<svg") == 2
+    )  # response with its coherence; residual
     assert "The residual is" in page
     refused(call("identify", records, "--out", tmp_path / "n", "--no-delay", "--learn", "delay"))
 

@@ -381,7 +381,7 @@ def _beside(options: ReadOptions, path: Path) -> ReadOptions:
 def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]:
     """List remarks on what was changed in a record while reading."""
     far, limit = (f"{from_base(value, unit):.4g} {unit}" for value in (masked.largest, masked.limit))
-    notes = questions(put.rows.voltage, masked.displacement, base_unit(unit))
+    notes = questions(put.rows.voltage, put.rows.displacement, base_unit(unit))
     if len(put.pieces) > 1:
         notes.append(f"split at its gaps into {len(put.pieces)} recordings")
     seen = [

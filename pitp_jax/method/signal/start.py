@@ -192,7 +192,7 @@ def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: flo
     span = float(np.ptp(part.displacement[part.observed]))
     own = level - run.direction * float(_simulated(response, run.kind)[0])
     if run.kind == "rest":
-        known = [r for r in known if abs(r.zero - own) < min(_NEAR * stderr, 0.015 * span) + _SAME * span]
+        known = [r for r in known if abs(r.zero - own) < _NEAR * stderr + _SAME * span]
     else:
         error = _free_run(part, response, run.kind, run.direction, own).error
         known = [r for r in known if error > _CLEARLY * r.error]
