@@ -432,8 +432,8 @@ def test_on_the_plant_it_was_made_for_the_loop_is_never_worse_than_none(tmp_path
         return found
 
     without, with_loop = errors(1.0)
-    # at the slew limit the decoder's samples are not the amplifier's ramp: the expectation is 0.1 % of the stroke off, and
-    # the loop adds up to a seventh of that
+    # at the slew limit the decoder's samples are not the amplifier's ramp: the expectation is 0.1 % of the stroke off,
+    # and the loop adds up to a seventh of that
     assert with_loop <= 1.001 * without + (0.015 if limits else 0.001)
     without, with_loop = errors(0.85)
     assert with_loop < 0.9 * without

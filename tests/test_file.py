@@ -35,7 +35,7 @@ DOMAIN = Domain(1e-3, (0.0, 6e3), region=((-1.0, 1.0), (-0.5, float("inf"))), cl
 LONG = LongRecord(1e-3, 2, True, np.arange(70, dtype="<f4"), np.full(70, np.nan, "<f4"))
 STEP = {"step": "fit", "versions": {"jax": "1"}, "parent": None, "records": [{"name": "Zürich", "sha256": "0"}]}
 ORIGIN = Origin(
-    "mm", "kV", np.diag([1.0, 2.0, 1 / 3]), (0.1, float("inf")), 1.5, 2e-6, 0.25,
+    "mm", "kV", np.diag([1.0, 2.0, 1 / 3]), (0.1, float("inf"), 0.2), 1.5, 2e-6, 0.25,
     OutOfFold((1.0, 2.0, 4.0), (1e-6, 2e-6), (0.1, 0.2)), ("a0 is open",), ("sweep", "Zürich"), LONG,
     {"history": [{"error": float("inf")}]}, ({"records": ["a"], "changed": {}},), (STEP, STEP),
 )  # fmt: skip
@@ -51,6 +51,8 @@ def model(order=2, encoder=None, memory=None, dtype=jnp.float32, origin=ORIGIN, 
         scales=Scales(tuple(0.1**i for i in range(order + 1)), 3.6e7, SECTIONS[:order] if order > 2 else ()),
         **{"hold": "zoh", "substeps": 3, "domain": DOMAIN, **changes},
     )
+    if len(origin.stderr) not in (0, order + 1):  # standard errors of another order are not restored
+        origin = origin.of_other_coefficients()
     return Fitted(made, origin)
 
 

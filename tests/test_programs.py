@@ -11,6 +11,7 @@ from origins import assert_same_origin
 
 import pitp_jax as pitp
 from pitp_jax.method.fit.parameters import parameters
+from pitp_jax.method.invert import equation
 from pitp_jax.method.invert.equation import invert_path, scaled_equation
 from pitp_jax.method.model.domain import Domain
 from pitp_jax.method.model.fitted import Fitted
@@ -18,7 +19,7 @@ from pitp_jax.method.model.model import Output, Scales
 from pitp_jax.method.model.origin import Origin
 from pitp_jax.method.model.sections import sections_of
 from pitp_jax.method.signal.record import Record
-from pitp_jax.method.simulate import decoder
+from pitp_jax.method.simulate import batched_rollout, decoder
 from pitp_jax.method.simulate.batched_rollout import fast_rollout
 from pitp_jax.method.simulate.decoder import rest_state, rollout_batch
 
@@ -68,7 +69,7 @@ def traces(monkeypatch):
         monkeypatch.setattr(place, name, traced)
 
     for name in ("stage_voltages", "film_voltage"):
-        for place in (decoder, pitp._simulate.batched_rollout, pitp._invert.equation):  # type: ignore[attr-defined]
+        for place in (decoder, batched_rollout, equation):
             if hasattr(place, name):
                 counted(place, name)
     return count

@@ -69,7 +69,7 @@ def test_equal_on_eight_devices(running):
     """11 records on eight devices: some are padding."""
     found = answer(running[0])
     assert (found["devices"], found["local"]) == (8, 8)
-    assert found["errors"].keys() == PARTS | {"candidates", "free runs, errors", "free runs, slopes"}
+    assert found["errors"].keys() == PARTS | {"free runs, errors", "free runs, slopes"}
     assert max(found["errors"].values()) < 2e-5
 
 

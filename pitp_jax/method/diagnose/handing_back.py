@@ -31,7 +31,7 @@ _DOUBLED = 4  # times at most that the steps a sample of a returned model are do
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """Return the best hypothesis that beats the nominal out of fold (P >= HANDED) and in the package's simulation.
+    """Return the best hypothesis that beats the nominal out of fold (P >= SURE) and in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.
@@ -70,8 +70,8 @@ def hand_back(
 
 
 def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:
-    """Return whether the 95 % interval of what a hypothesis closes of the given model's error excludes zero."""
-    return probability(h.evidence.bare, given.evidence.bare) >= rules.HANDED
+    """Return whether a hypothesis beats the given model out of fold with the probability that every claim needs."""
+    return probability(h.evidence.bare, given.evidence.bare) >= rules.SURE
 
 
 def _error(h: Hypothesis) -> float:

@@ -6,7 +6,6 @@ Rates come from the studies in docs/decisions/verdict.md, of 27 saved decisions 
 
 SURE = 0.9  # P required for every claim; 0.8: one more wrong effect of 27, 0.95: one right one lost
 LIKELY = 0.5  # P from which a part of the returned model is called likely: better than not, not a claim
-HANDED = 0.975  # P for a model to be handed back: the 95 % interval of what it closes excludes 0
 HARM = 1.25  # times the nominal's error: what a returned model may leave on a single recording
 FIRST = 0.9  # of the linear model's error: what a first effect must reach
 FURTHER = 0.8  # and each further effect, of the remaining error; 0.9: one more wrong

@@ -177,10 +177,9 @@ def identify(
         >>> found.model.order, found.beginnings["sweep"].begins
         (2, 'rest')
     """
-    if input_map is None:
-        input_map = usual_input_map(records[0].voltage_unit, records[0].displacement_unit) if len(records) else "square"
-    _check_options(order, input_map, hold, learn, leave_out)
+    _check_options(order, input_map or "square", hold, learn, leave_out)
     check_set(records)
+    input_map = input_map or usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
     check_motion(records)
     begun, roots, misfit = find_beginnings(records, input_map)
     finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
