@@ -421,7 +421,7 @@ def test_a_slow_plant_in_motion_keeps_the_known_offset_beside_a_wrong_model(seed
     drive = 1.5 + sum(rng.uniform(0.3, 0.6) * np.sin(w * omega * times + rng.uniform(0, 6)) for w in (0.3, 0.8, 1.7))
     plant = ([2.0], [1 / omega**2, 2.2 / omega, 1])
     x = of_kind(tuple, lsim(plant, drive, times))[1] - 6.0
-    r = Record("tank", times[:1024], drive[176:], x[176:] + 0.01 * rng.standard_normal(1024))
+    r = Record("tank", times[:1024], drive[176:], x[176:] + 0.01 * rng.standard_normal(1024))  # pyright: ignore[reportIndexIssue]
     wrong = ([2.0 * 1.15], [1 / (1.15 * omega) ** 2, 2.2 / omega, 1])
     part = first_part(r, omega)
     t = np.arange(part.samples) * step
