@@ -424,19 +424,19 @@ def test_poles_that_no_sample_shows_are_moved_to_where_a_rollout_follows_them(be
     np.testing.assert_allclose(_no_faster(np.array(before), 500.0), after, rtol=1e-5, atol=1e-12)
 
 
-@pytest.mark.parametrize(("worse", "better"), [(1, True), (2, False)])
-def test_a_model_is_handed_back_if_the_interval_of_what_it_closes_excludes_zero(worse, better):
-    """One or two of six recordings get 1.7 times as bad; the others lose half of their error."""
+@pytest.mark.parametrize(("worse", "better"), [(1, True), (3, False)])
+def test_a_model_is_handed_back_if_it_is_better_with_a_probability_of_nine_tenths(worse, better):
+    """One or three of six recordings get 1.7 times as bad; the others lose half of their error."""
     given = hypothesis((), 1.0)
     rows = [(1.7 if k < worse else 0.5) * r for k, r in enumerate(given.residuals)]
     h = replace(given, residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
     p = probability(h.evidence, given.evidence)
-    assert (p > 0.975) if better else (0.9 < p < 0.975)
+    assert (p > 0.9) if better else (0.5 < p < 0.9)
     assert surely_improves(h, given) == better
 
 
 @pytest.mark.usefixtures("no_reference")
-@pytest.mark.parametrize(("worse", "handed"), [(1, ("drag", "parameters")), (2, ())])
+@pytest.mark.parametrize(("worse", "handed"), [(1, ("drag", "parameters")), (3, ())])
 def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypatch, linear, worse, handed):
     """The same recordings, from the verdict to the model."""
     model, given = linear(2), hypothesis((), 1.0)
