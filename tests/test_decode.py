@@ -191,7 +191,6 @@ def test_divergence_is_told(linear, coefficients):
     assert finite[:lost].all() and not finite[lost:].any()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("fading", [False, True])
 def test_a_moving_start_is_estimated(linear, coefficients, fading):
     """Cut at high velocity: the free run from the planted state is recovered; the samples it cost are not scored."""

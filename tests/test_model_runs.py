@@ -10,16 +10,19 @@ import pytest
 from effect_numbers import NUMBERS
 
 from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects.kernels import DELAY
 from pitp_jax.method.model.drive import ElectrodeLag
-from pitp_jax.method.model.encoder import AdaptedEncoder, CompactEncoder, PaperEncoder
+from pitp_jax.method.model.encoder import AdaptedEncoder, CompactEncoder, ConstantEncoder, PaperEncoder
 from pitp_jax.method.model.input_map import LinearInput
 from pitp_jax.method.model.memory import ElapsedTime
 from pitp_jax.method.model.own_encoder import OwnEncoder
 from pitp_jax.method.simulate import free_runs as door
+from pitp_jax.method.simulate import ports
+from pitp_jax.method.simulate.beginnings import settled_states
 from pitp_jax.method.simulate.compiled.kernel import kernel
 from pitp_jax.method.simulate.decoder import rollout_batch
 from pitp_jax.method.simulate.free_runs import free_runs, scanned_runs
-from pitp_jax.method.simulate.model_runs import ModelStep, model_runs, taken_apart, way_of
+from pitp_jax.method.simulate.model_runs import ModelStep, film_of, model_runs, sample, taken_apart, way_of
 
 DT, STEPS = 1e-3, 2000
 T = np.arange(STEPS) * DT
@@ -120,9 +123,9 @@ def test_machine_code_equals_the_scan(kind):
 
 
 def test_models_of_one_structure_share_a_step(nonlinear):
-    one, other = (ModelStep(taken_apart(nonlinear(2, key=k))[0], DT) for k in (0, 1))
+    one, other = (ModelStep(sample, taken_apart(nonlinear(2, key=k))[0], DT) for k in (0, 1))
     assert one == other and hash(one) == hash(other)
-    assert one != ModelStep(taken_apart(nonlinear(3))[0], DT)
+    assert one != ModelStep(sample, taken_apart(nonlinear(3))[0], DT)
 
 
 def test_numbers_and_structure_are_the_model(nonlinear):
@@ -147,3 +150,29 @@ def test_the_way_of_a_model_is_told_by_its_parts(nonlinear, monkeypatch):
     assert way_of(nonlinear(2)) == "compiled" and "Own" in way_of(own)
     monkeypatch.setenv("PITP_COMPILED", "0")
     assert way_of(nonlinear(2)) == way_of(own) == "by the JAX scan"
+
+
+@pytest.mark.parametrize("kind", ["linear, order 3", "trained, order 3", "linear input", "adapted"], indirect=True)
+def test_a_settled_state_stays(kind):
+    """Under a constant voltage; that of a linear model is F / a_0."""
+    volts = np.array([300.0, 500.0])
+    states = settled_states(kind, volts, DT, np.zeros(2))
+    along = model_runs(kind, np.repeat(volts[:, None], STEPS, 1), DT, states)[0]
+    np.testing.assert_allclose(along - states[:, None], 0, atol=2e-6)  # half a cell of the last grid
+    if isinstance(kind.encoder, ConstantEncoder):
+        x = np.asarray(kind.input_map.force(volts)) / kind.physical_coefficients[0]
+        np.testing.assert_allclose(states[:, 0], x / kind.scales.state[0], atol=1e-6)
+
+
+def test_no_settled_state_beyond_ten_scaled_displacements(linear):
+    assert np.isnan(settled_states(linear(2), np.array([0.0, 1e6]), DT, np.zeros(2))[:, 0]).tolist() == [False, True]
+
+
+def test_the_film_lags_and_delays_as_in_the_differentiable_way(linear):
+    delays = [spec(jnp.float32(t)) for spec, t in ((next(s for s in CATALOGUE if s.kernel is DELAY), 2.4e-3),) * 2]
+    model = replace(linear(2), drive=LAG, effects=tuple(delays))
+    volts = VOLTS + 100
+    for first in (0.0, 1.0):  # at rest, the film is uncharged
+        found = film_of(model, volts, DT, np.full((3, 2), first))
+        truth = [ports.filmed(model, jnp.asarray(v, jnp.float32), DT, first == 0) for v in volts]
+        np.testing.assert_allclose(found, truth, rtol=0, atol=2e-3)

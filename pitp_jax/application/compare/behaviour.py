@@ -23,9 +23,9 @@ from ...common.quantity import Units
 from ...common.units import base_unit
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
-from ...method.model.programs import jit
+from ...method.model.programs import jit, on_device
 from ...method.model.units import units_of
-from ...method.simulate.beginnings import held_states
+from ...method.simulate.beginnings import settled_states
 from ...method.simulate.decoder import step
 from ...method.simulate.voltage_only import rollout
 from .result import Difference, measured
@@ -114,8 +114,10 @@ def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarr
     own = None if percent is None else percent * span / 100
     errors = tuple(None if own is None else _error_of(model, k, run, own, drive, dt) for k in (None, 2, 1))
     levels = np.stack([points - small, points, points + small])
-    states, by_state, by_input = map(np.asarray, _linearised(model, jnp.asarray(levels, np.float32), model.dt))
-    below, at, above = states[..., 0].astype(np.float64) * float(model.scales.state[0])
+    states = settled_states(model, levels.ravel(), model.dt, np.zeros(levels.size)).reshape(*levels.shape, -1)
+    middle = (on_device(a[1], model.coefficients.dtype) for a in (states, levels))
+    by_state, by_input = map(np.asarray, _linearised(model, *middle, model.dt))
+    below, at, above = states[..., 0] * float(model.scales.state[0])
     forces = np.asarray(model.input_map.force(levels))
     modes = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)])
     return Behaviour(run, own, at, (forces[2] - forces[0]) / (above - below), modes[:, 0], modes[:, 1], errors)
@@ -150,15 +152,13 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
 
 
 @jit
-def _linearised(model: Model, levels: Float[Array, "three points"], dt: float):
-    """Return scaled states for three rows of constant inputs, and A, B of one time step about the middle row."""
-    flat = levels.ravel().astype(model.coefficients.dtype)
-    states = held_states(model, flat, dt, jnp.zeros_like(flat)).reshape(*levels.shape, -1)
+def _linearised(model: Model, states: Float[Array, "points state"], volts: Float[Array, " points"], dt: float):
+    """Return A and B of one time step about states under constant inputs."""
 
     def after(state, volts):
         return step(model, state, jnp.full((2 * model.substeps + 1,), volts), dt)
 
-    return states, *jax.vmap(jax.jacfwd(after, (0, 1)))(states[1], flat.reshape(levels.shape)[1])
+    return jax.vmap(jax.jacfwd(after, (0, 1)))(states, volts)
 
 
 def _mode(by_state: np.ndarray, by_input: np.ndarray, dt: float) -> tuple[float, float]:

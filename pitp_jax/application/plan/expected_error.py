@@ -20,10 +20,9 @@ from ...method.model.model import Model
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from ...method.signal.sets import alike
-from ...method.simulate import ports
-from ...method.simulate.batched_rollout import fast_rollout
-from ...method.simulate.beginnings import held_states
+from ...method.simulate.beginnings import settled_states
 from ...method.simulate.decoder import rest_state
+from ...method.simulate.model_runs import model_runs
 from ...method.simulate.prediction import FAR, at_rate, predict
 from ...method.train.refine import prior_weights, thinning
 from ...method.train.settings import Settings, firmness_of
@@ -67,7 +66,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
     start = _starts(model, drive[:, 0], dt)
-    x = np.concatenate([_readings(model, part, dt, at) for part, at in _batches(drive, start)])[: len(voltages)]
+    x = model_runs(model, drive, dt, start)[1]
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
     # diverged and padded samples carry no information, and must not bring nan into the sums
     x = np.where(inside & finite[:, None], x, 0.0)
@@ -78,7 +77,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     information = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
-        runs = Runs(at, jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
+        runs = Runs(jnp.asarray(at, jnp.float32), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
         rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
         information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
     return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
@@ -92,17 +91,11 @@ def _batches(*arrays):
         yield tuple(a[part] for a in arrays)
 
 
-def _readings(model: Model, voltage, dt: float, start) -> np.ndarray:
-    states = fast_rollout(model, jnp.asarray(voltage), dt, start)
-    return np.stack([np.asarray(ports.readings(model, s), np.float64) for s in states])
-
-
-def _starts(model: Model, first: np.ndarray, dt: float):
+def _starts(model: Model, first: np.ndarray, dt: float) -> np.ndarray:
     """Return initial states: at rest if a voltage starts at zero, otherwise settled at its first value."""
-    rest = rest_state(model)
-    held = held_states(model, jnp.asarray(first), dt, jnp.zeros(len(first), rest.dtype))
-    settled = (jnp.asarray(first)[:, None] != 0) & jnp.isfinite(held).all(1, keepdims=True)
-    return jnp.where(settled, held, rest)
+    held = settled_states(model, first, dt, np.zeros(len(first)))
+    settled = (first[:, None] != 0) & np.isfinite(held).all(1, keepdims=True)
+    return np.where(settled, held, np.asarray(rest_state(model)))
 
 
 @dataclass(frozen=True)

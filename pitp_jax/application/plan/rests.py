@@ -4,11 +4,11 @@ with a model    last time at which |x| is above 0.5 % of its largest value, afte
 without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the band
 """
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...method.model.model import Model
-from ...method.simulate.decoder import rest_state, rollout_batch
+from ...method.simulate.decoder import rest_state
+from ...method.simulate.model_runs import model_runs
 from ...method.simulate.prediction import at_rate
 
 _SETTLED = 0.005  # of the stroke: hidden in sensor noise
@@ -28,8 +28,7 @@ def rest_after(model: Model, volts: float, rate: float) -> float:
     u = np.zeros(round((_HELD + _LONGEST) * rate), np.float32)
     held = round(_HELD * rate)
     u[:held] = volts
-    states = rollout_batch(model, jnp.asarray(u)[None], 1 / rate, rest_state(model)[None])
-    x = np.abs(np.asarray(states[0, :, 0]))
+    x = np.abs(model_runs(model, u[None], 1 / rate, np.asarray(rest_state(model))[None])[0][0, :, 0])
     if not np.isfinite(x).all():
         return _LONGEST
     moving = np.flatnonzero(x[held:] > _SETTLED * x.max())

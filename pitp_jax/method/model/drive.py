@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.linear_recurrence import first_order_lags, scalar_recurrence
+from ..numerics.linear_recurrence import first_order_lags, lag_after, scalar_recurrence
 
 
 class AbstractDrive(eqx.Module):
@@ -22,6 +22,10 @@ class AbstractDrive(eqx.Module):
     @abstractmethod
     def film(self, voltage: Float[Array, " time"], dt: float, rest: Bool[Array, ""]) -> Float[Array, " time"]:
         """Compute the film voltage V for a sampled voltage u; `rest`: whether the record starts at rest, uncharged."""
+
+    @abstractmethod
+    def after(self, film: Float[Array, ""], before: Float[Array, ""], now: Float[Array, ""], dt: float):
+        """Compute the film voltage V one sample later, for u linear from `before` to `now`."""
 
     @abstractmethod
     def lead(self, film: Float[Array, " time"], dt: float) -> Float[Array, " time"]:
@@ -38,6 +42,10 @@ class DirectDrive(AbstractDrive):
     def film(self, voltage, dt, rest):
         """Return the film voltage V = u."""
         return voltage
+
+    def after(self, film, before, now, dt):
+        """Return the film voltage V = u."""
+        return now
 
     def lead(self, film, dt):
         """Return the amplifier's voltage u = V."""
@@ -58,6 +66,10 @@ class ElectrodeLag(AbstractDrive):
         # a record cut from a longer one shows no charging: the film already has the input voltage
         start = jnp.where(rest, 0.0, voltage[0])
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
+
+    def after(self, film, before, now, dt):
+        """Compute the film voltage V behind the lag, exactly for u linear between samples."""
+        return lag_after(film, before, now, jnp.exp(self.log_tau), dt)
 
     def lead(self, film, dt):
         """Compute u = V + tau V', with the derivative V' by `slope`."""

@@ -13,8 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy
-from scipy.linalg import cho_factor, solve_triangular
+from scipy.linalg import cho_factor, solve_banded, solve_triangular
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
@@ -256,7 +255,9 @@ def _free(poles: np.ndarray, time: np.ndarray) -> np.ndarray:
 def _lagged(run: np.ndarray, step: float, lag: float) -> np.ndarray:
     """Return a run behind a lag of order 1; step and lag in rad of the dominant mode."""
     pole = np.exp(-step / lag) if lag else 0.0
-    return run[0] + np.asarray(scipy.signal.lfilter([1 - pole], [1, -pole], run - run[0]))
+    # a bidiagonal equation; `scipy.signal` takes as long to import as a prediction
+    ahead = np.array([np.ones(len(run)), np.full(len(run), -pole)])
+    return run[0] + solve_banded((1, 0), ahead, (1 - pole) * (run - run[0]))
 
 
 def _marginal(targets: np.ndarray, prior: np.ndarray, columns: np.ndarray, errors: Sequence[np.ndarray]) -> float:

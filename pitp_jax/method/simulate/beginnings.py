@@ -16,14 +16,13 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..model.model import Model
-from ..model.programs import jit, on_device
+from ..model.programs import jit
 from ..signal.initial_state import Beginning
 from ..signal.record import Record
 from ..signal.start import Response, estimate_start, first_part
-from . import ports
-from .decoder import rest_state, rollout_batch, step, still_state
+from .decoder import step, still_state
+from .model_runs import evaluate, model_runs, runs_of, sample
 
-_AHEAD = 2048  # samples of the shortest simulation: few lengths, few programs to compile
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
 
 
@@ -61,32 +60,51 @@ def held_states(
     return jax.vmap(one)(voltage, age)
 
 
-@jit
-def _first_runs(model: Model, voltage: Float[Array, "records time"], dt: float, age: Float[Array, " records"]):
-    """Simulate every record from rest and from the equilibrium at u(0); return (states, readings) of both."""
-    starts = jax.vmap(lambda a: rest_state(model, a))(age), held_states(model, voltage[:, 0], dt, age)
-    return [(s, jax.vmap(lambda r: ports.readings(model, r))(rollout_batch(model, voltage, dt, s))) for s in starts]
+def still(model: Model, row: Float[Array, "3"], *_) -> tuple[Array, Array]:
+    """Compute the equilibrium state of a scaled displacement, a voltage (V) and an age (s), for `evaluate`."""
+    return row, still_state(model, *row)
+
+
+def settled_states(
+    model: Model, volts: Float[np.ndarray, " records"], dt: float, ages: Float[np.ndarray, " records"]
+) -> Float[np.ndarray, "records state"]:
+    """Compute `held_states` by `free_runs`."""
+    low, high, exists = np.full(len(volts), -_FAR), np.full(len(volts), _FAR), np.full(len(volts), True)
+    many = [np.repeat(a, _GRID) for a in (volts, ages)]
+    stages = np.broadcast_to(many[0][:, None, None], (len(many[0]), 2, 2 * model.substeps + 1))
+    for _ in range(_ROUNDS):
+        grid = np.linspace(low, high, _GRID, axis=1)
+        start, after = runs_of(sample, model, evaluate(still, model, grid.ravel(), *many), stages, dt).swapaxes(0, 1)
+        up = (after - start)[:, model.order - 1].reshape(grid.shape) > 0
+        turns = up[:, :-1] & ~up[:, 1:]
+        place = np.argmin(np.where(turns, np.abs(grid[:, :-1]), np.inf), axis=1)
+        exists &= turns.any(1)
+        low, high = (np.take_along_axis(grid, place[:, None] + k, 1)[:, 0] for k in (0, 1))
+    return np.where(exists[:, None], evaluate(still, model, (low + high) / 2, volts, ages), np.nan)
 
 
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
     """Return how each record starts, and its initial state if it starts at rest or in equilibrium."""
-    dtype, omega = model.coefficients.dtype, model.natural_frequency
+    omega, dt, ages = model.natural_frequency, records[0].dt, np.asarray(ages, np.float64)
     low, high = model.domain.voltage_range
     span = float(high - low) if np.isfinite(high - low) and high > low else None
     parts = [first_part(r, omega, span) for r in records]
-    size = _AHEAD * 2 ** int(np.ceil(np.log2(max(max(p.samples for p in parts) / _AHEAD, 1))))
+    size = max(p.samples for p in parts)
     voltage = np.stack([np.pad(p.voltage, (0, size - p.samples), mode="edge") for p in parts])
-    runs = _first_runs(model, on_device(voltage, dtype), records[0].dt, on_device(ages, dtype))
-    (_, rest), (_, held) = runs
-    poles, scale = np.roots(np.nan_to_num(model.physical_coefficients[::-1])), float(model.scales.state[0])
-    begun = []
-    for k, p in enumerate(parts):
-        at_rest, settled = (scale * np.asarray(x, np.float64)[k, : p.samples] for x in (rest, held))
-        usual = (float(model.output.offset),), float(model.output.polarity)
-        begun.append(estimate_start(p, Response(at_rest, settled, poles, omega, *usual)))
-    states = {"rest": np.asarray(runs[0][0]), "held": np.asarray(runs[1][0])}
+    states = {
+        "rest": evaluate(still, model, 0.0, 0.0, ages),
+        "held": settled_states(model, voltage[:, 0], dt, ages),
+    }
+    start = np.concatenate(list(states.values()))
+    readings = model.scales.state[0] * model_runs(model, np.tile(voltage, (2, 1)), dt, start)[1]
+    poles = np.roots(np.nan_to_num(model.physical_coefficients[::-1]))
+    usual = (float(model.output.offset),), float(model.output.polarity)
+    begun = [
+        estimate_start(p, Response(rest[: p.samples], held[: p.samples], poles, omega, *usual))
+        for p, rest, held in zip(parts, *np.split(readings, 2), strict=True)
+    ]
     return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
 
 

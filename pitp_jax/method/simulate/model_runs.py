@@ -7,6 +7,7 @@ step of `decoder.rollout`, which is the way to trace, differentiate or shard a s
 """
 
 import os
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -21,10 +22,9 @@ from ..model.constants import as_arguments
 from ..model.drive import DirectDrive
 from ..model.model import Model
 from ..model.own_encoder import own_module
-from ..model.programs import in_double, jit
 from ..numerics.intersample import between
 from . import ports
-from .decoder import at_rest, stage_fractions, step
+from .decoder import stage_fractions, step
 from .free_runs import free_runs
 
 
@@ -57,15 +57,15 @@ class Structure:
 
 @dataclass(frozen=True)
 class ModelStep:
-    """One sample (dt, s) of a model as `free_runs` takes it."""
+    """A function of a model as `free_runs` takes it: fn(model, state, input, dt) -> (state, outputs)."""
 
+    function: Callable
     structure: Structure
     dt: float
 
-    def __call__(self, parameters, state, stages):
-        """Advance the state along the stage voltages; the outputs are the state before, and the sensor's reading."""
-        model = self.structure.filled(parameters)
-        return step(model, state, stages, self.dt), jnp.append(state, ports.reading(model, state))
+    def __call__(self, parameters, state, now):
+        """Apply the function to the model with these numbers."""
+        return self.function(self.structure.filled(parameters), state, now, self.dt)
 
 
 def taken_apart(model: Model) -> tuple[Structure, Float[np.ndarray, " p"]]:
@@ -78,17 +78,44 @@ def taken_apart(model: Model) -> tuple[Structure, Float[np.ndarray, " p"]]:
     return Structure(tree, shapes, others), np.concatenate(flat)
 
 
+def runs_of(
+    function: Callable, model: Model, start: Float[np.ndarray, "runs state"], inputs, dt: float = 0.0
+) -> Float[np.ndarray, "runs time outputs"]:
+    """Compute `free_runs` of a function of a model; a single input serves all runs.
+
+    Args:
+        function: as `ModelStep` takes it, of a module, so that it compiles once.
+        model: the same for all runs.
+        start: initial states.
+        inputs: shape (runs or 1, time) or (runs or 1, time, k).
+        dt: sampling interval, s.
+    """
+    structure, numbers = taken_apart(model)
+    parameters = np.broadcast_to(numbers, (len(start), len(numbers)))
+    return free_runs(
+        ModelStep(function, structure, float(dt)), parameters, start, inputs, np.arange(len(start)) % len(inputs)
+    )
+
+
+def sample(model: Model, state, stages, dt):
+    """Advance a model along its stage voltages; the outputs are the state before, and the sensor's reading."""
+    return step(model, state, stages, dt), jnp.append(state, ports.reading(model, state))
+
+
 def model_runs(
     model: Model, voltage: Float[np.ndarray, "records time"], dt: float, start: Float[np.ndarray, "records state"]
 ) -> tuple[Float[np.ndarray, "records time state"], Float[np.ndarray, "records time"]]:
     """Compute the scaled states and the sensor's scaled readings of all records, from rest or from other states."""
-    structure, numbers = taken_apart(model)
     start = np.asarray(start, np.float64)
     film = film_of(model, np.asarray(voltage, np.float64), dt, start)
     stages = np.stack([between(v, model.hold, stage_fractions(model), np) for v in film])
-    parameters = np.broadcast_to(numbers, (len(film), len(numbers)))
-    outputs = free_runs(ModelStep(structure, float(dt)), parameters, start, stages, np.arange(len(film)))
+    outputs = runs_of(sample, model, start, stages, dt)
     return outputs[..., :-1], outputs[..., -1]
+
+
+def evaluate(function: Callable, model: Model, *numbers) -> Float[np.ndarray, "rows outputs"]:
+    """Compute `function(model, row, ...)` for rows of numbers, as one step of `runs_of`; columns are broadcast."""
+    return runs_of(function, model, np.column_stack(np.broadcast_arrays(*numbers)), np.zeros((1, 1)))[:, 0]
 
 
 def way_of(model: Model) -> str:
@@ -103,16 +130,19 @@ def way_of(model: Model) -> str:
 
 def film_of(model: Model, voltage, dt: float, start) -> Float[np.ndarray, "records time"]:
     """Compute the film's voltages (V): behind delays and the electrodes' lag."""
-    if isinstance(model.drive, DirectDrive) and not any(e.delays for e in model.effects):
+    # before the record, a rest was at 0 V; any other start is assumed at the first voltage
+    before = np.where(start[:, : model.order].any(1), voltage[:, 0], 0.0)
+    places = np.arange(-1, voltage.shape[1])
+    for effect in model.effects:
+        if effect.delays:
+            late = places[1:] - float(effect.time) / dt
+            voltage = np.stack([np.interp(late, places, np.append(b, v)) for b, v in zip(before, voltage, strict=True)])
+    if isinstance(model.drive, DirectDrive):
         return voltage
-    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
-        return np.asarray(_films(in_double(model), voltage, float(dt), start))
+    ahead = np.append(voltage[:, 1:], voltage[:, -1:], axis=1)
+    return runs_of(_film_after, model, np.column_stack([before, voltage[:, 0]]), ahead, dt)[..., 0]
 
 
-@jit
-def _films(model: Model, voltage, dt, start):
-    def one(u, s):
-        rest = at_rest(model, s)
-        return model.drive.film(ports.delayed(model, u, dt, rest), dt, rest)
-
-    return jax.vmap(one)(voltage, start)
+def _film_after(model, state, volts, dt):
+    """Advance the film's voltage and u by one sample; the output is the film's voltage before."""
+    return jnp.stack([model.drive.after(*state, volts, dt), volts]), state[0]

@@ -8,10 +8,8 @@ A diverging rollout is a result, marked `diverged`, with nan after its divergenc
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Bool, Float
+from jaxtyping import Array, Float
 
 from ...common.errors import refuse_traced
 from ...common.shown import Shown
@@ -19,55 +17,58 @@ from ..model.coverage import input_beyond, input_words
 from ..model.fitted import Fitted, fitted_of
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
-from ..model.programs import jit, on_device
+from ..model.programs import on_device
 from ..model.substeps import substeps
 from ..signal.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
 from ..signal.record import Record
 from ..signal.sets import alike, check_set, session_clock
 from . import ports
 from .beginnings import beginnings
-from .decoder import rollout, settled_state
-from .model_runs import model_runs
+from .decoder import settled_state
+from .model_runs import evaluate, model_runs
 
-_BLOCK = 256  # samples: starts are estimated from whole blocks, so that few lengths are compiled
+_STEP, _ITERATIONS = 1e-6, 12  # difference of a scaled state; Gauss-Newton
 _SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
 FAR = 1e4  # a run beyond this scaled displacement has diverged
 
 
-@jit
 def estimate_state(
     model: Model,
-    voltage: Float[Array, " time"],
-    displacement: Float[Array, " time"],
-    observed: Bool[Array, " time"],
+    voltage: Float[np.ndarray, " time"],
+    displacement: Float[np.ndarray, " time"],
     dt: float,
-    age: float | Float[Array, ""] = 0.0,
-) -> Float[Array, " state"]:
-    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
+    age: float = 0.0,
+) -> Float[np.ndarray, " state"]:
+    """Estimate the scaled initial state of a record that begins in motion, from its scaled first samples.
 
-    Gauss-Newton on the rollout over S(0) and one level m at which every memory is assumed settled, with a weak prior
+    Gauss-Newton on the free run over S(0) and one level m at which every memory is assumed settled, with a weak prior
     (1e-3) towards the mean displacement and no motion.
     """
-    level = jnp.sum(jnp.where(observed, displacement, 0.0)) / jnp.maximum(jnp.sum(observed), 1)
+    observed = np.isfinite(displacement)
+    prior = np.zeros(model.order + 1)
+    prior[[0, -1]] = displacement[observed].mean() if observed.any() else 0.0
 
-    def assemble(p):
-        return settled_state(model, p[:-1], p[-1], voltage[0], age)
+    def starts(rows):
+        return evaluate(_settled, model, voltage[0], age, *rows.T)
 
-    prior = jnp.zeros(model.order + 1, displacement.dtype).at[jnp.array([0, -1])].set(level)
+    def residuals(rows):
+        x = model_runs(model, np.broadcast_to(voltage, (len(rows), len(voltage))), dt, starts(rows))[1]
+        return np.concatenate([(x - displacement)[:, observed], 1e-3 * (rows - prior)], axis=1)
 
-    def residual(p):
-        x = ports.readings(model, rollout(model, voltage, dt, assemble(p)))
-        return jnp.concatenate([jnp.where(observed, x - displacement, 0.0), 1e-3 * (p - prior)])
+    best, steps = prior, _STEP * np.eye(len(prior), len(prior) + 1, 1).T
+    for _ in range(_ITERATIONS):
+        error, *moved = residuals(best + steps)
+        if not np.isfinite(moved).all():
+            break
+        move = np.linalg.lstsq((moved - error).T / _STEP, -error)[0]
+        after = residuals(best[None] + move)
+        # a shorter step if the full one overshoots
+        best = best + move * (1.0 if np.sum(after**2) < np.sum(error**2) else 0.2)
+    return starts(best[None])[0]
 
-    def improve(p, _):
-        jacobian, error = jax.jacfwd(residual)(p), residual(p)
-        move = jnp.linalg.lstsq(jacobian, -error)[0]
-        best = p + move
-        better = jnp.sum(residual(best) ** 2) < jnp.sum(error**2)
-        # a shorter step if the full one overshoots; none if it is not finite
-        return jnp.where(better, best, p + 0.2 * move * jnp.isfinite(move).all()), None
 
-    return assemble(jax.lax.scan(improve, prior, None, length=12)[0])
+def _settled(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
+    return row, settled_state(model, row[2:-1], row[-1], row[0], row[1])
 
 
 def at_rate(model: Model, dt: float) -> Model:
@@ -189,8 +190,12 @@ def begin(
         # stretch by earlier records of the session remains (Mullins)
         turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
         far = reaches(model, turned)
-        starts = [ports.resumed(model, on_device(s), reach) for s, reach in zip(starts, far, strict=True)]
-    return on_device(starts), tuple(spent), begun
+        starts = evaluate(_resumed, model, far, *np.transpose(starts))
+    return on_device(starts, model.coefficients.dtype), tuple(spent), begun
+
+
+def _resumed(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
+    return row, ports.resumed(model, row[1:], row[0])
 
 
 def reaches(model: Model, records: Sequence[Record]) -> list[float]:
@@ -211,19 +216,13 @@ def initial_samples(model: Model, record: Record) -> int:
     return int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
 
 
-def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[Array, " state"]:
+def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[np.ndarray, " state"]:
     """Estimate the scaled initial state of a record that begins in motion, from its first samples.
 
     After an initial gap these samples follow the gap; the rollout starts before it.
     """
-    dtype = model.coefficients.dtype
     x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]
-    x = np.pad(x, (0, -len(x) % _BLOCK), constant_values=np.nan)
-    u = np.pad(record.voltage[:samples], (0, -len(record.voltage[:samples]) % _BLOCK), mode="edge")
-    observed = np.isfinite(x)
-    voltage, known = on_device(u, dtype), on_device(np.where(observed, x, 0.0), dtype)
-    now = on_device(age, dtype)  # an array, so that not every age needs a program
-    return estimate_state(model, voltage, known, on_device(observed), record.dt, now)
+    return estimate_state(model, record.voltage[:samples], x, record.dt, age)
 
 
 def outside_fraction(model: Model, features: np.ndarray) -> float:

@@ -5,16 +5,14 @@ start (at rest, or settled at u(0)) -> rollout -> displacement in the one coordi
 
 from typing import Literal
 
-import jax.numpy as jnp
 import numpy as np
 
 from ...common.errors import BadInput, refuse_traced
 from ..model.coordinate import Zero, from_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
-from .beginnings import held_states
-from .decoder import rest_state
-from .model_runs import model_runs
+from .beginnings import settled_states, still
+from .model_runs import evaluate, model_runs
 from .prediction import FAR, at_rate
 
 
@@ -75,16 +73,13 @@ def _checked(voltage, dt, begins) -> np.ndarray:
 
 def _displacement(model: Model, rows: np.ndarray, dt: float, begins: str | None, start_time: float) -> np.ndarray:
     """Simulate all voltages, shape (rows, time); return the displacement (m) in the model's own direction."""
-    dtype = model.coefficients.dtype
-    age = model.domain.age(start_time)
+    ages = np.full(len(rows), model.domain.age(start_time))
     # a record that starts under a voltage was most likely held there before
     held = np.full(len(rows), begins == "held") if begins else rows[:, 0] != 0
-    rest = jnp.broadcast_to(rest_state(model, age), (len(rows), rest_state(model, age).shape[0]))
-    start = rest
+    start = evaluate(still, model, 0.0, 0.0, ages)
     if held.any():
-        ages = jnp.full(len(rows), age, dtype)
-        start = jnp.where(held[:, None], held_states(model, jnp.asarray(rows[:, 0], dtype), dt, ages), rest)
-    states, x = model_runs(model, rows, dt, np.asarray(start))
+        start = np.where(held[:, None], settled_states(model, rows[:, 0], dt, ages), start)
+    states, x = model_runs(model, rows, dt, start)
     lost = ~(np.isfinite(states).all(-1) & (np.abs(states[..., 0]) < FAR))
     x = x * model.scales.state[0]
     return np.where(np.maximum.accumulate(lost, axis=1), np.nan, x)  # a run that returns is a coincidence
