@@ -15,7 +15,7 @@ import pitp_jax
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 6200, "method/numerics": 10100, "method/signal": 13700, "method/model": 12900, "method/effects": 12100,
-    "method/simulate": 17900, "method/fit": 9000, "method/identify": 25400, "method/train": 16200,
+    "method/simulate": 18500, "method/fit": 9000, "method/identify": 25400, "method/train": 16200,
     "method/invert": 19300, "method/diagnose": 52800, "method/adapt": 5500, "files/containers": 34400,
     "files/recordings": 13300, "files/model_file": 5600, "files/export": 13800, "files/mjcf": 9300,
     "application/commands": 20700, "application/pages": 12800, "application/compare": 10600, "application/plan": 10000,

@@ -2,19 +2,24 @@
 
 import ctypes
 import os
+from dataclasses import replace
 from functools import partial
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from pitp_jax.method.model.own_encoder import OwnEncoder
 from pitp_jax.method.simulate.compiled import kernel as kernels
 from pitp_jax.method.simulate.compiled import objects
 from pitp_jax.method.simulate.compiled.kernel import Kernel, kernel
 from pitp_jax.method.simulate.compiled.split import split
 from pitp_jax.method.simulate.compiled.vectors import text_of
+from pitp_jax.method.simulate.decoder import rest_state
 from pitp_jax.method.simulate.free_runs import free_runs, scanned_runs
+from pitp_jax.method.simulate.model_runs import model_runs
 
 RNG = np.random.default_rng(5)
 RUNS, STEPS = 11, 40
@@ -266,3 +271,52 @@ def test_the_folder_stays_bounded_and_may_be_read_only(folder, monkeypatch):
     assert sum(f.stat().st_size for f in folder.iterdir()) <= 3000
     monkeypatch.setattr(os, "replace", lambda *_: (_ for _ in ()).throw(PermissionError()))
     assert objects.address_of(texts[0])
+
+
+def traces(monkeypatch):
+    """The steps that are traced from now on, in a process that remembers none."""
+    kernels._built.cache_clear()
+    kernels._split.cache_clear()
+    found = []
+    monkeypatch.setattr(kernels, "split", lambda step, *sizes: found.append(step) or split(step, *sizes))
+    return found
+
+
+def test_the_package_s_own_step_is_found_without_tracing(folder, nonlinear, monkeypatch):
+    """A model of another structure and a step of another function are traced."""
+    other = replace(nonlinear(2), substeps=2)
+    volts, start = U * 100, S[:2, :1] * np.zeros((1, len(rest_state(nonlinear(2)))))
+
+    def answers():
+        seen = traces(monkeypatch)
+        return [model_runs(m, volts, 1e-3, start)[0] for m in (nonlinear(2), other)], len(seen)
+
+    (first, traced), (again, anew) = answers(), answers()
+    assert (traced, anew) == (2, 0)
+    np.testing.assert_array_equal(first, again)
+    (name, *_) = folder.glob("*.name")
+    name.write_bytes(name.read_bytes()[:-4])
+    (again, anew) = answers()
+    assert anew == 1
+    np.testing.assert_array_equal(first, again)
+
+
+def test_a_user_s_encoder_of_the_same_name_is_traced(folder, linear, monkeypatch):
+    def model(factor):
+        class Mine(eqx.Module):
+            weights: jax.Array
+
+            def __call__(self, features):
+                return factor * self.weights @ features
+
+        Mine.__qualname__ = "Mine"
+        return replace(linear(2), encoder=OwnEncoder(Mine(jnp.full((4, 2), 0.1))))
+
+    def answer(factor):
+        here = model(factor)
+        return model_runs(here, U * 300, 1e-3, np.zeros((2, 2)))[0]
+
+    seen = traces(monkeypatch)
+    first, second = answer(0.5), answer(4.0)
+    assert len(seen) == 2 and np.abs(first - second).max() > 1e-3 * np.abs(first).max()
+    assert not list(folder.glob("*.name"))

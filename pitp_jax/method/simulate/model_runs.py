@@ -34,24 +34,20 @@ class Structure:
 
     Attributes:
         tree: of its parts, with all static fields.
-        shapes: of the arrays of numbers; None in the place of another value.
-        others: the values that are not numbers, by their place.
+        leaves: shapes in the places of its numbers, and the values that are not numbers.
     """
 
     tree: Any
-    shapes: tuple
-    others: tuple
+    leaves: tuple
 
     def filled(self, numbers: Float[Array, " p"]) -> Model:
         """Return the model with these numbers."""
-        leaves, first, others = [], 0, iter(self.others)
-        for shape in self.shapes:
-            if shape is None:
-                leaves.append(next(others))
-                continue
-            last = first + int(np.prod(shape))
-            leaves.append(numbers[first:last].reshape(shape))
-            first = last
+        leaves, first = [], 0
+        for leaf in self.leaves:
+            if isinstance(leaf, jax.ShapeDtypeStruct):
+                last = first + leaf.size
+                leaf, first = numbers[first:last].reshape(leaf.shape), last
+            leaves.append(leaf)
         return jax.tree.unflatten(self.tree, leaves)
 
 
@@ -71,11 +67,10 @@ class ModelStep:
 def taken_apart(model: Model) -> tuple[Structure, Float[np.ndarray, " p"]]:
     """Return the structure and the numbers of a model."""
     leaves, tree = jax.tree.flatten(as_arguments(model))
-    numbers = [eqx.is_inexact_array(a) for a in leaves]
-    shapes = tuple(np.shape(a) if is_number else None for a, is_number in zip(leaves, numbers, strict=True))
-    others = tuple(a for a, is_number in zip(leaves, numbers, strict=True) if not is_number)
-    flat = [np.asarray(a, np.float64).ravel() for a, is_number in zip(leaves, numbers, strict=True) if is_number]
-    return Structure(tree, shapes, others), np.concatenate(flat)
+    numbers = [np.asarray(a, np.float64) for a in leaves if eqx.is_inexact_array(a)]
+    shapes = iter([jax.ShapeDtypeStruct(a.shape, a.dtype) for a in numbers])
+    leaves = tuple(next(shapes) if eqx.is_inexact_array(a) else a for a in leaves)
+    return Structure(tree, leaves), np.concatenate([a.ravel() for a in numbers])
 
 
 def runs_of(

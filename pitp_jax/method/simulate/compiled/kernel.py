@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from ....common.errors import BadInput
 from . import objects
+from .identity import identity
 from .split import Split, split
 from .vectors import text_of
 
@@ -88,17 +89,24 @@ def kernel(step: Callable, parameters, start, inputs) -> Kernel | None:
 
 @lru_cache(256)
 def _built(step: Callable, sizes: tuple, width: int, equal: bool) -> Kernel | None:
+    told = identity(step)
+    named = told and f"{told} {sizes} {width} {equal}"
     try:
-        parts = _split(step, *sizes)
-        address = objects.address_of(text_of(parts, width, equal=equal))
+        known = objects.found(named) if named else None
+        if known is None:
+            parts = _split(step, *sizes)
+            outputs = len(parts.outputs)
+            text = text_of(parts, width, equal=equal)
+            known = outputs, objects.address_of(text, named=named, outputs=outputs)
     except BadInput as error:
         _say(f"a step is not compiled: {error}; its free runs take longer")
         return None
     except Exception as error:
         _say(f"a step is not compiled ({type(error).__name__}: {error}); its free runs take longer")
         return None
+    outputs, address = known
     run = ctypes.CFUNCTYPE(None, *[ctypes.c_int64] * 2, *[ctypes.c_void_p] * 6)(address)
-    return Kernel(run, width, len(parts.outputs), equal)
+    return Kernel(run, width, outputs, equal)
 
 
 @lru_cache(64)

@@ -1,7 +1,8 @@
 """Compile LLVM text to machine code with llvmlite, and keep the object files beside the programs that JAX keeps.
 
 The key of a file is a hash of the text, of LLVM's version, and of the processor with its features, so a changed step or
-another computer never gets an old file. Where JAX keeps no programs (`--no-cache`, Python without a cache folder), or
+another computer never gets an old file. A step that the package's sources determine is found by its identity as well,
+without being traced. Where JAX keeps no programs (`--no-cache`, Python without a cache folder), or
 the folder cannot be written, the text is compiled again, which takes 0.3 s.
 """
 
@@ -72,17 +73,37 @@ def optimised(llvm, target, text: str) -> Any:
     return module
 
 
-def address_of(text: str) -> int:
-    """Return the address of the function `run` of a text, from its object file or compiled now."""
-    llvm, target, computer = machine()
-    path = _folder()
-    if path is not None:
-        path = path / f"{hashlib.sha256((computer + text).encode()).hexdigest()[:40]}.o"
-    code = None if path is None else _read(path)
+def address_of(text: str, *, named: str | None = None, outputs: int = 0) -> int:
+    """Return the address of the function `run` of a text, from its object file or compiled now.
+
+    `named`: where known, its identity, by which `found` finds the object file and the number of outputs again.
+    """
+    llvm, target, _ = machine()
+    name = _hash(text)
+    code = _read(f"{name}.o")
     if code is None:
         code = target.emit_object(optimised(llvm, target, text))
-        if path is not None:
-            _write(path, code)
+        _write(f"{name}.o", code)
+    if named is not None:
+        _write(f"{_hash(named)}.name", f"{outputs} {name}".encode())
+    return _loaded(code)
+
+
+def found(named: str) -> tuple[int, int] | None:
+    """Return the number of outputs and the address of a function by its identity; None if no file is known."""
+    known = _read(f"{_hash(named)}.name")
+    outputs, name = known.decode().split() if known else (0, "")
+    code = _read(f"{name}.o") if known else None
+    return None if code is None else (int(outputs), _loaded(code))
+
+
+def _hash(text: str) -> str:
+    return hashlib.sha256((machine()[2] + text).encode()).hexdigest()[:40]
+
+
+def _loaded(code: bytes) -> int:
+    """Return the address of the function `run` of an object file."""
+    llvm, target, _ = machine()
     engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
@@ -95,8 +116,12 @@ def _folder() -> Path | None:
     return Path(kept) / "steps" if kept and "://" not in str(kept) else None
 
 
-def _read(path: Path) -> bytes | None:
-    """Return a file with the hash at its end, if it is whole."""
+def _read(name: str) -> bytes | None:
+    """Return a kept file with the hash at its end, if it is whole."""
+    folder = _folder()
+    if folder is None:
+        return None
+    path = folder / name
     try:
         data = path.read_bytes()
         os.utime(path)  # used now
@@ -106,8 +131,12 @@ def _read(path: Path) -> bytes | None:
     return code if hashlib.sha256(code).digest() == written else None
 
 
-def _write(path: Path, code: bytes) -> None:
-    """Write a file whole or not at all; delete the least recently used ones above the limit."""
+def _write(name: str, code: bytes) -> None:
+    """Keep a file whole or not at all; delete the least recently used ones above the limit."""
+    folder = _folder()
+    if folder is None:
+        return
+    path = folder / name
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
