@@ -1,6 +1,7 @@
 """The diagnosis' simulator beside SciPy, and every form of its library beside the package's own rollout."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -9,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.signal import lsim, lti
 
+import pitp_jax as pitp
 from pitp_jax.method.diagnose.clocks import Fault
+from pitp_jax.method.diagnose.data import build_case
 from pitp_jax.method.diagnose.library import (  # fmt: skip
     AHEAD,
     FAULTS,
@@ -23,16 +26,20 @@ from pitp_jax.method.diagnose.library import (  # fmt: skip
     SHAPE,
     SHIFT,
     Scale,
+    coefficients_of,
     model_of,
     rates_of,
+    sections,
     slots_of,
 )
 from pitp_jax.method.diagnose.simulator import Drive, Simulator, step_response
-from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.effects import CATALOGUE, effect
+from pitp_jax.method.model.fitted import model_of as model_of_file
 from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate import ports
 from pitp_jax.method.simulate.decoder import rest_state, rollout
 
+MODELS = Path(__file__).parent / "files" / "models_0_2_0"
 DT, SAMPLES = 2e-3, 2000
 TIME = np.arange(SAMPLES) * DT
 SCALE = Scale(
@@ -242,3 +249,31 @@ def test_machine_code_equals_the_scan_for_every_row(nominal, square, monkeypatch
     np.testing.assert_array_equal(np.isnan(found), np.isnan(scan))
     largest = np.nanmax(np.abs(scan), axis=1, keepdims=True)
     np.testing.assert_allclose(found / largest, scan / largest, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["compact_order_2", "compact_order_3"])
+def test_a_trained_nominal_runs_with_its_encoder_beside_an_effect_and_changed_coefficients(name):
+    """Beside the rollout of the model that would be handed back, from records of which the case is made."""
+    given = pitp.load(MODELS / f"{name}.pitp")
+    model = replace(model_of_file(given), substeps=4)
+    time, top = np.arange(600) * model.dt, np.sqrt(float(model.scales.force))
+    factors = np.array([1.2, 0.8, 1.1, *[1.0] * (model.order - 2)])
+    lag = effect("electrode_rc", tau=0.4 / model.natural_frequency)
+    plant = replace(model.changed(factors), effects=(*model.effects, lag))
+    volts = [top * np.sin(f * model.natural_frequency * time) ** 2 for f in (0.1, 0.35)]
+    records = [
+        pitp.Record(f"r{k}", time, v, pitp.rollout(plant, v, model.dt, begins="rest", zero="sensor"))
+        for k, v in enumerate(volts)
+    ]
+    case = build_case(model, records)
+    slots = case.nominal.copy()
+    slots[:3] = coefficients_of(slots, 2) * factors[:3]
+    if model.order == 3:  # (a_0 + a_1 s + a_2 s^2)(1 + tau s)
+        core, late, _ = sections(plant.physical_coefficients)
+        slots[:3], slots[INDEX[LAG]] = core * model.scales.state[0] / model.scales.force, late
+    slots[PLACES[lag.spec]] = float(lag.tau)
+    runs = case.simulator.run(np.tile(slots, (2, 1)), [0, 1], case.starts)
+    for run, s in zip(runs, case.series, strict=True):
+        assert np.abs(run - s.output)[s.counts].max() < 1e-3 * s.span
+    apart = case.simulator.run(np.tile(case.nominal, (2, 1)), [0, 1], case.starts)
+    assert np.abs(apart[1] - case.series[1].output).max() > 0.05 * case.series[1].span

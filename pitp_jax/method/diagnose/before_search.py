@@ -15,7 +15,7 @@ from ..model.model import Model
 from ..signal.record import Record
 from ..signal.reduced import centred_means
 from . import rules
-from .data import thin_case
+from .data import build_case
 from .evidence import Evidence, evidence, probability
 from .fit import Fit
 from .gap import Gap, closed, interval
@@ -110,7 +110,7 @@ def _tone_found(told: _Told, unit: str, spans: np.ndarray, before: float, after:
 
 def _where(model: Model, records: Sequence[Record], runs: OwnError) -> dict:
     """Locate the errors of the free runs (`where.locate`)."""
-    case = thin_case(model, records)
+    case = build_case(model, records)
     scale = scale_of(case, Fit((), (), case.nominal.copy(), case.starts.copy()))
     errors = [
         s.direction * centred_means(e, case.thinned, s.begins == "rest")[: len(s.output)] / case.model.scales.state[0]

@@ -12,9 +12,12 @@ of each record are removed.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from ...common.errors import BadInput
+from ..model.drive import DirectDrive
 from ..model.model import Model
 from ..signal.initial_state import aligned, noise_std
 from ..signal.preprocess import force_band
@@ -136,12 +139,6 @@ class Case:
 
 
 def build_case(model: Model, records: Sequence[Record]) -> Case:
-    """Build the case (`thin_case`), with what no slot can hold, such as an encoder, subtracted from the measurement."""
-    case = thin_case(model, records)
-    return _beside(case, records) if slots_of(case.model)[1] else case
-
-
-def thin_case(model: Model, records: Sequence[Record]) -> Case:
     """Thin the records, remove their offsets and directions, and estimate their initial states.
 
     Args:
@@ -158,7 +155,7 @@ def thin_case(model: Model, records: Sequence[Record]) -> Case:
     for r, p in zip(records, predict(model, records), strict=True):
         if p.diverged and model.physical_coefficients[0] > 0:
             raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
-    nominal, _ = slots_of(model)
+    nominal, others = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     k = thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
@@ -167,8 +164,9 @@ def thin_case(model: Model, records: Sequence[Record]) -> Case:
     for r, b, reached in zip(turned, begun, far, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
         first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
-        film = _film(r.voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
-        force = ramped(r.voltage, held) if square else r.voltage
+        voltage = _behind_electrode(model, r, rest)
+        film = _film(voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
+        force = ramped(voltage, held) if square else voltage
         x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
         if film is not None:
             force = film.force(np.arange(len(x)) * r.dt * k)
@@ -184,9 +182,18 @@ def thin_case(model: Model, records: Sequence[Record]) -> Case:
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
-    substeps = steps_a_sample(nominal, records[0].dt * k)
-    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps)
+    dt = records[0].dt * k
+    substeps = max(steps_a_sample(nominal, dt), 1 if others is None else at_rate(model, dt).substeps)
+    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, others, nominal)
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
+
+
+def _behind_electrode(model: Model, record: Record, rest: bool) -> np.ndarray:
+    """Return the voltage of the film (V), behind the lag of the nominal's electrode."""
+    if isinstance(model.drive, DirectDrive):
+        return record.voltage
+    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+        return np.asarray(model.drive.film(jnp.asarray(record.voltage), record.dt, jnp.asarray(rest)))
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:
@@ -250,22 +257,6 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
     order = np.argsort([s.span for s in series], kind="stable")
     groups = min(len(series), _MOST_FOLDS)
     return tuple(tuple(int(k) for k in order[g::groups]) for g in range(groups))
-
-
-def _beside(case: Case, records) -> Case:
-    """Subtract from the measurement the model's parts that the search cannot represent, such as an encoder.
-
-    Their difference from the linear model is subtracted from the measurement, so that the slots describe the change
-    alone.
-    """
-    scale, model = float(case.model.scales.state[0]), case.model
-    runs = case.simulator.run(np.tile(case.nominal, (len(records), 1)), range(len(records)), case.starts)
-    series = []
-    for s, run, p in zip(case.series, runs, predict(model, records), strict=True):
-        own = p.direction * (p.displacement - p.zero) / scale
-        own = centred_means(own, case.thinned, s.begins == "rest")
-        series.append(replace(s, output=s.output - np.nan_to_num(own - run), counts=s.counts & np.isfinite(own - run)))
-    return replace(case, series=tuple(series))
 
 
 def excited_hz(case: Case) -> tuple[float, float]:

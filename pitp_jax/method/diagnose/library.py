@@ -309,9 +309,12 @@ def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, s
     return spec.reported(p, slots[0], scale)
 
 
-def slots_of(model: Model) -> tuple[np.ndarray, bool]:
-    """Return the nominal model as a parameter vector, and whether it has parts that the vector cannot represent."""
-    slots = OFF.copy()
+def slots_of(model: Model) -> tuple[np.ndarray, Model | None]:
+    """Return the nominal model as a parameter vector, and a model of its parts that no slot holds, if there are any.
+
+    The electrode's lag is neither: it filters the voltage of the records.
+    """
+    slots, others = OFF.copy(), []
     core, lag, filtered = sections(model.physical_coefficients)
     slots[: min(len(core), 3)] = (core * model.scales.state[0] / model.scales.force)[:3]
     slots[INDEX[LAG]] = lag
@@ -319,15 +322,15 @@ def slots_of(model: Model) -> tuple[np.ndarray, bool]:
         slots[INDEX[FILTER]], slots[INDEX[FILTER_ZETA]] = filtered
     if model.hold == "zoh":
         slots[INDEX[DELAY]] += model.dt / 2
-    foreign = not isinstance(model.encoder, ConstantEncoder) or not isinstance(model.drive, DirectDrive)
     for e in model.effects:
         place = PLACES.get(e.spec)
         if place is None or (is_on(e.spec, slots) and not e.delays):
-            foreign = True
+            others.append(e)
             continue
         # delays add up
         slots[place] = np.array([float(v) for _, v in e.numbers()]) + (slots[place] if e.delays else 0.0)
-    return slots, foreign
+    plain = isinstance(model.encoder, ConstantEncoder) and not others
+    return slots, None if plain else replace(model, effects=tuple(others), drive=DirectDrive())
 
 
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
@@ -343,11 +346,11 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
     trained = not isinstance(model.encoder, ConstantEncoder)
     if order <= _MOST_POLES and (same or trained):
-        inside = [INDEX[k] for k in _IN_POLES.get(order, ()) if nominal[INDEX[k]] > 0]
+        inside = within_coefficients(nominal, order)
         slots[inside] = np.maximum(slots[inside], model.dt / 2)
         if not same:
             slots[:3] = nominal[:3]
-        before, after = (_coefficients(s, order) for s in (nominal, slots))
+        before, after = (coefficients_of(s, order) for s in (nominal, slots))
         factors = np.where(before != 0, after / np.where(before != 0, before, 1), 1)
         moved = slots != nominal
         moved[inside] = False
@@ -376,7 +379,12 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     return cast(Model, Fitted(whole, fitted_of(model).origin.of_other_coefficients())), added
 
 
-def _coefficients(slots: np.ndarray, order: int) -> np.ndarray:
+def within_coefficients(nominal: np.ndarray, order: int) -> list[int]:
+    """Return the places of the nominal's lag or filter, which the coefficients of order 3 or 4 contain."""
+    return [INDEX[k] for k in _IN_POLES.get(order, ()) if nominal[INDEX[k]] > 0]
+
+
+def coefficients_of(slots: np.ndarray, order: int) -> np.ndarray:
     """Return the scaled a_0 ... a_n of the linear core, multiplied by the lag (order 3) or the filter (order 4)."""
     poles = np.polynomial.Polynomial(slots[: min(order, 2) + 1])
     if order == 3:

@@ -22,8 +22,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..effects.effect import Effect, Instant
+from ..model.model import Model
 from ..simulate.free_runs import free_runs
 from .library import AHEAD, DELAY, EARLY, INDEX, MONITOR, PLACES, ROWS
+from .trained_runs import trained_runs
 
 FAR = 1e4  # scaled displacement from which a run has diverged
 
@@ -92,6 +94,8 @@ class Simulator:
         force_scale: of F.
         rates: 1/s, of the scales of x' and x, and of x'' and x'.
         substeps: steps a sample.
+        others: the nominal's parts that no slot holds, such as an encoder; None: its core is linear.
+        nominal: slots of the nominal, shape (slots,).
     """
 
     drives: tuple[Drive, ...]
@@ -99,6 +103,8 @@ class Simulator:
     force_scale: float
     rates: tuple[float, float]
     substeps: int
+    others: Model | None = None
+    nominal: np.ndarray | None = None
 
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
         """Simulate parameter vectors, each with a record from (x, v); return scaled outputs (T,), nan if diverged."""
@@ -115,14 +121,20 @@ class Simulator:
     def _equally_long(self, slots, records, starts, steps: int) -> np.ndarray:
         """Simulate runs of one number of steps; return their scaled outputs, shape (runs, samples)."""
         drives = [self.drives[r] for r in records]
-        inputs, column = self._inputs(slots, records, steps)
+        finer = 1 if self.others is None else 2  # a model's step reads its input in the middle as well
+        inputs, column = replace(self, substeps=finer * self.substeps)._inputs(slots, records, finer * steps)
         first, h = inputs[column, 0], np.array([d.dt for d in drives]) / self.substeps
         before = [u if d.before is None else d.before for u, d in zip(first, drives, strict=True)]
         session = [(d.age, d.reached) for d in drives]
+        begins = np.column_stack([starts, before, session])
+        if self.others is not None:
+            runs = trained_runs(self.others, self.nominal, slots, begins, inputs, column, float(h[0]))
+            runs = runs[:, :: self.substeps]
+            return np.where(np.abs(runs) < FAR, runs, np.nan)
         common = np.tile([1 / self.force_scale, *self.rates], (len(records), 1))
         parameters = np.concatenate([common, np.stack(_plant(slots[:, :3], h), 1), slots], 1)
         begin, step = _programs(self.square)
-        start = free_runs(begin, parameters, np.column_stack([starts, before, session]), inputs[:, :1], column)[:, 0]
+        start = free_runs(begin, parameters, begins, inputs[:, :1], column)[:, 0]
         start[:, -1] = first
         return free_runs(step, parameters, start, inputs[:, 1:], column)[:, :: self.substeps, 0]
 
