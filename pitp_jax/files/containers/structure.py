@@ -143,8 +143,10 @@ def refreshed(values: np.ndarray) -> tuple[np.ndarray, float] | None:
     at = np.flatnonzero(steps) + 1
     if len(at) < _CHANGES or not np.isfinite(values).all():
         return None
-    gaps, sizes = np.diff(at), np.abs(steps[at - 1])
-    period = float(np.median(gaps))
+    gaps = np.diff(at)
+    if gaps.mean() < _FASTEST:  # the period is at most the mean gap
+        return None
+    sizes, period = np.abs(steps[at - 1]), float(np.median(gaps))
     turns = np.maximum(np.round(gaps / period), 1)
     for _ in range(3):  # the median of 6 and 7 rows is refined to 6.4
         period = float(gaps.sum() / turns.sum())

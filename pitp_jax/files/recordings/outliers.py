@@ -65,7 +65,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     y = displacement[seen]
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
-    if len(moving) < _FEWEST_VALUES or len(np.unique(y)) < _FEWEST_LEVELS:
+    if len(moving) < _FEWEST_VALUES or has_few(y, _FEWEST_LEVELS - 1):
         return Masked(displacement)
     # only nonzero steps, because a quantised sensor mostly repeats its value
     step = float(np.median(moving))
@@ -91,10 +91,17 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
 
 
+def has_few(values: np.ndarray, most: int) -> bool:
+    """Return whether there are at most so many distinct values; the first ones often suffice."""
+    return all(len(np.unique(some)) <= most for some in (values[: 100 * most], values))
+
+
 def _jumps(drive: np.ndarray) -> np.ndarray:
     """Return the samples near a step of the input, where a fast output is a response and not a fault, shape (T,)."""
     steps = np.abs(np.diff(drive, prepend=drive[:1]))
-    far = steps > max(_JUMP * float(np.median(steps)), _JUMP_OF_RANGE * float(np.ptp(drive)))
+    far = steps > _JUMP_OF_RANGE * float(np.ptp(drive))
+    if far.any():
+        far &= steps > _JUMP * float(np.median(steps))
     return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
@@ -125,6 +132,9 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
     A laser reads such values without a target.
     """
     bad = np.zeros(len(y), dtype=bool)
+    inner = y[(y > y.min()) & (y < y.max())]
+    if len(inner) and max(inner.min() - y.min(), y.max() - inner.max()) <= np.ptp(inner):
+        return bad
     # sorted, and both ends are examined in turn
     values = np.unique(y)
     while len(values) > _FEWEST_VALUES:
@@ -160,8 +170,9 @@ def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
 
 def _still_runs(y: np.ndarray, drive: np.ndarray) -> list[tuple[int, int]]:
     """Return stretches of one output value while the input moves, except those at its largest or smallest value."""
-    noise, ends = 6 * noise_std(drive), (y.min(), y.max())
+    ends = y.min(), y.max()
     runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if b >= 3 and y[b] not in ends]
+    noise = 6 * noise_std(drive) if runs else 0.0
     # a settled machine stands still until the input jumps at the end of a run, so the input must move early in it
     return [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
 
@@ -173,6 +184,8 @@ def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[in
     with a jump, or if the input sweeps half of its range meanwhile.
     """
     found = _inside(runs, len(y))
+    if not runs:
+        return found
     longest, swing = _longest_by_chance(y, found), np.ptp(drive)
     for begin, end in runs:
         sweeps = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _SWEPT * swing
@@ -188,7 +201,7 @@ def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
     runs = [(b, e) for b, e in _runs(y, _SHORTEST_CLIP // 2) if y[b] in (low, high)]
     runs = [(b, e) for b, e in runs if np.ptp(voltage[b:e]) > _MOVES * swing]
     # without any noise it is a stop, or a slow motion
-    longest = _longest_by_chance(y, _inside(runs, len(y)))
+    longest = _longest_by_chance(y, _inside(runs, len(y))) if runs else np.inf
     return _inside([(b, e) for b, e in runs if e - b > longest], len(y))
 
 

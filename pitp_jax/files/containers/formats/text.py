@@ -344,8 +344,9 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
     Raises:
         BadInput: none gives a table.
     """
-    best, dialect = 0.0, None
-    for separator in (options.separator,) if options.separator else _SEPARATORS:
+    best, dialect, text = 0.0, None, "\n".join(plain)
+    likely = [mark for mark in _SEPARATORS if mark in text or mark == " "]
+    for separator in (options.separator,) if options.separator else likely:
         try:
             rows = [cells_of(line, separator) for line in plain]
         except csv.Error:
@@ -416,8 +417,6 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
     # quotes around numbers only slow the parser down
     if b'"' in body:
         body = body.replace(b'"', b"")
-    if not _rectangular(body, layout):
-        return None
     words = [k for k in places if layout.columns[k].form in ("stamp", "duration")]
     try:
         frame = pd.read_csv(
@@ -426,6 +425,11 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
             dtype={k: str if k in words else np.float64 for k in places}, index_col=False, skip_blank_lines=False,
             skipinitialspace=b" " in body or b"\t" in body,
         )  # fmt: skip
+        last = frame.get(layout.width - 1)
+        # the C parser fills short rows silently: none is short where the last column is whole
+        marks = body.count(layout.separator.encode()) == len(frame) * (layout.width - 1)
+        if not (last is not None and marks and last.notna().all()) and not _rectangular(body, layout):
+            return None
         columns = [frame[k] for k in places]
         if any(layout.columns[k].form == "duration" for k in words):
             return None
