@@ -1,13 +1,11 @@
 """What a model leaves, tested: white noise alone passes, a mode left out shows."""
 
-import sys
-
 import numpy as np
 import pytest
 from scipy.signal import StateSpace, lfilter, lsim
 from typed import of_kind, some
 
-from pitp_jax import BadInput, Record
+from pitp_jax import Record
 from pitp_jax.method.identify.identification import identify
 
 DT, SAMPLES = 2e-3, 6000
@@ -44,7 +42,7 @@ def test_a_mode_left_out_shows_the_drive():
     assert not left_of(x).independent
 
 
-def test_scipy_and_control(monkeypatch):
+def test_the_state_space_has_the_poles_and_the_motion():
     """The state space has the identified poles and, driven by the force, the model's own motion."""
     found = identify([Record("r", TIME, DRIVE, -response(*MODE) + noise(5, 1e-3))], order=2, input_map="linear")
     system = found.to_scipy()
@@ -52,9 +50,3 @@ def test_scipy_and_control(monkeypatch):
     assert np.abs(np.linalg.eigvals(some(system.A))) == pytest.approx([MODE[0]] * 2, rel=1e-3)
     run = of_kind(tuple, lsim(system, DRIVE, TIME))[1]
     np.testing.assert_allclose(run, -response(*MODE), atol=2e-3)
-    monkeypatch.setitem(sys.modules, "control", None)
-    with pytest.raises(BadInput, match="pip install control"):
-        found.to_control()
-    monkeypatch.setitem(sys.modules, "control", type(sys)("control"))
-    monkeypatch.setattr(sys.modules["control"], "ss", lambda *matrices: matrices, raising=False)
-    np.testing.assert_array_equal(found.to_control()[0], system.A)

@@ -51,8 +51,4 @@ def test_no_module_is_imported_by_name():
     users = {
         p.relative_to(PACKAGE).as_posix() for p in PACKAGE.rglob("*.py") if "import_module(" in p.read_text("utf-8")
     }
-    assert users <= {
-        "application/commands/main.py",
-        "files/containers/formats/__init__.py",
-        "method/identify/identification.py",
-    }
+    assert users <= {"application/commands/main.py", "files/containers/formats/__init__.py"}

@@ -1,23 +1,20 @@
 """Judge whether a linear model explains the output at all, and report the likely reason if not.
 
 feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squares on the last samples of both
-folded:    1 - R^2 of y against |G u| and (G u)^2                       G: lags of order 1 and modes of a grid
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
 from ..signal.initial_state import noise_std
 from .heldout import Candidate
-from .linear_ode import respond
 from .output_error import Problem
 
 NOTHING, LITTLE = 0.9, 0.5  # fraction of the output's rms, held out: residual of a model that explains nothing, little
 _OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: held-out residual; noise above which it hardly moves
 CHECK = "Check --input-column and --output-column, and whether another input moves the output"
 _LAGS, _FED_BACK, _PREDICTED = 8, 0.1, 1e-3  # samples; variances of an input that follows from the output
-_GRID, _DAMPINGS = 8, (0.1, 0.4, 1.5)  # frequencies and damping ratios of the modes behind a folded output
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
@@ -33,11 +30,6 @@ def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Proble
         return least < NOTHING, (
             f"{left}, and most of the output is sensor noise. Such recordings determine no model; record with a "
             "larger excitation"
-        )
-    if least >= NOTHING and _folded_left(problem) < NOTHING:
-        return True, (
-            f"{left}, but |y| or y^2 is explained better than the output y: the sensor does not show the direction of "
-            "motion. Run `pitp diagnose` to confirm it"
         )
     if least >= NOTHING:
         return False, f"The model explains nothing: {left}, at any order. {_reason(problem)}"
@@ -82,31 +74,3 @@ def _noise_part(problem: Problem) -> float:
         y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
         noise, moved = noise + count * float(noise_std(y)) ** 2, moved + count * float(np.nanvar(y))
     return float(np.sqrt(noise / max(moved, 1e-300)))
-
-
-def _folded_left(problem: Problem) -> float:
-    """Return the smallest residual of a fit of |x| and x^2 to the output, as a fraction of the output's deviation.
-
-    x: linear responses with poles of a grid. If it is small, the sensor does not show the sign of the motion.
-    """
-    best = np.inf
-    for poles in _poles(problem):
-        missed = whole = 0.0
-        for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
-            run = respond(poles, drive, step=problem.dt, square=problem.square, hold="foh")
-            use = weight > 0
-            y = output[use] - output[use].mean()
-            columns = np.column_stack([np.abs(run), run**2, np.ones(len(run))])[use]
-            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
-            rest = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
-            missed, whole = missed + float(rest @ rest), whole + float(y @ y)
-        best = min(best, np.sqrt(missed / max(whole, 1e-300)))
-    return float(best)
-
-
-def _poles(problem: Problem) -> Iterator[np.ndarray]:
-    """Yield the logarithms of the pole coefficients of single lags and modes on a grid over the band of the records."""
-    for omega in np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID):
-        yield np.array([np.log(omega)])
-        for damping in _DAMPINGS:
-            yield np.array([np.log(2 * damping * omega), 2 * np.log(omega)])

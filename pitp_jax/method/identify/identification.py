@@ -11,7 +11,6 @@ optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, dela
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from importlib import import_module
 
 import numpy as np
 from scipy.signal import StateSpace
@@ -116,19 +115,6 @@ class Identification(Shown):
         b, out = np.zeros((c.order, 1)), np.zeros((1, c.order))
         b[-1, 0], out[0, 0] = 1 / c.coefficients[-1], c.polarity
         return StateSpace(a, b, out, np.zeros((1, 1)))
-
-    def to_control(self):
-        """Return the model as `StateSpace` of python-control, for example for `bode_plot` or `lqr`.
-
-        Raises:
-            BadInput: python-control is not installed.
-        """
-        try:
-            control = import_module("control")
-        except ImportError as error:
-            raise BadInput("python-control is not installed: pip install control, or use to_scipy()") from error
-        system = self.to_scipy()
-        return control.ss(system.A, system.B, system.C, system.D)
 
 
 def trains_from_order_two(found: Identification) -> bool:
