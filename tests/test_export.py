@@ -12,10 +12,10 @@ import pytest
 from exported import COMPILERS, FLAGS, Exported, truth
 
 import pitp_jax as pitp
-from pitp_jax.files.export import steps
 from pitp_jax.files.export.c99 import write_sources
 from pitp_jax.files.export.plan import plan, played
 from pitp_jax.method.effects import effect, lookup
+from pitp_jax.method.invert import steps
 from pitp_jax.method.invert.equation import invert_path
 from pitp_jax.method.model.coordinate import from_model
 from pitp_jax.method.model.drive import ElectrodeLag

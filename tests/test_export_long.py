@@ -12,8 +12,8 @@ from exported import FLAGS, truth
 from test_export import DT, double, export, models, number  # noqa: F401  (a fixture)
 
 import pitp_jax as pitp
-from pitp_jax.files.export import steps
 from pitp_jax.method.effects import CATALOGUE
+from pitp_jax.method.invert import steps
 from pitp_jax.method.numerics.spline_derivative import derivatives
 
 pytestmark = [pytest.mark.exhaustive, pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")]

@@ -15,8 +15,8 @@ from scipy.linalg import expm
 
 import pitp_jax as pitp
 from pitp_jax.application.commands.main import main
-from pitp_jax.files.export import steps
 from pitp_jax.files.export.plan import plan, played
+from pitp_jax.method.invert import steps
 from pitp_jax.method.model.drive import ElectrodeLag
 from pitp_jax.method.model.input_map import LinearInput
 

@@ -12,8 +12,8 @@ from motions import DT, SAMPLES, TIME, hump, respond, swing, swing_force
 
 import pitp_jax as pitp
 from pitp_jax import BadInput, Target, e_rms_percent, feedforward, rest_state
-from pitp_jax.files.export.steps import inverse as inverse_sample
 from pitp_jax.method.invert.equation import invert_path
+from pitp_jax.method.invert.steps import inverse as inverse_sample
 from pitp_jax.method.invert.target import last_digit, without_rounding
 from pitp_jax.method.model.coordinate import Zero
 from pitp_jax.method.model.input_map import LinearInput

@@ -10,12 +10,12 @@ import numpy as np
 
 from ... import __version__
 from ...common.quantity import grouped, per_second
+from ...method.invert import steps
 from ...method.model.coordinate import direction, sign
 from ...method.model.coverage import trained_words
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
 from . import plan as planning
-from . import steps
 from .differentiator import ALLOWED, BLOCKS
 from .pi_gains import PIGains
 from .plan import Plan, rate_error, whole_folder

@@ -22,12 +22,12 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...method.effects.kernels import total_delay
+from ...method.invert import steps
 from ...method.invert.loop import Plant, linearised, margins
 from ...method.model.coordinate import from_model, sign
 from ...method.model.fitted import Fitted, model_of
 from ...method.model.model import Model
 from ...method.model.programs import in_double
-from . import steps
 from .equilibria import equilibria
 
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)

@@ -24,6 +24,7 @@ from ...common.errors import BadInput
 from ...common.metrics import e_rms_percent
 from ...common.quantity import Units
 from ...method.effects.kernels import total_delay
+from ...method.invert import steps
 from ...method.model.coordinate import from_model
 from ...method.model.fitted import Fitted, Origin, fitted_of
 from ...method.model.model import Model
@@ -32,7 +33,6 @@ from ...method.model.units import units_of
 from ...method.numerics.scalar.jaxpr import program
 from ...method.numerics.scalar.scalars import Program
 from ...method.numerics.spline_derivative import derivatives
-from . import steps
 from .differentiator import ALLOWED, Differentiator, differentiator
 from .equilibria import stroke
 from .pi_gains import PIGains, pi_gains, slew_of

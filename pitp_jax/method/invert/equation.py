@@ -18,7 +18,7 @@ from ..simulate import ports
 from ..simulate.decoder import film_voltage
 
 _ROUNDING = 1e-6  # of the model's unit of force
-_HUGE = 1e3  # of the training force: replaces an infeasible force
+HUGE = 1e3  # of the training force: replaces an infeasible force
 
 
 def force_along(model: Model, equation: Float[Array, "time tokens"], memory: Float[Array, "time memory"]):
@@ -58,7 +58,7 @@ def invert_path(model: Model, equation: Float[Array, "time tokens"], dt: float, 
     features = jnp.concatenate([equation[:, :-1], model.memory.trajectory(equation[:, 0], dt, start)], -1)
     force = ports.required(model, equation, features, dt, age)
     force = jnp.where(jnp.isnan(force), jnp.inf, force)  # a force beyond saturation is infinite, with its own sign
-    film = film_voltage(model, jnp.clip(force, -_HUGE, _HUGE))
+    film = film_voltage(model, jnp.clip(force, -HUGE, HUGE))
     return force, ports.played(model, film, dt), features
 
 

@@ -3,74 +3,31 @@
 V_{k+1} = q V_k + a u_k + b u_{k+1}  with q = exp(-dt / tau)           the electrode's lag of a voltage that is linear
 """
 
-from functools import singledispatch
-
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...common.errors import BadInput
-from ..model.drive import AbstractDrive, DirectDrive, ElectrodeLag
+from ..model.drive import AbstractDrive, ElectrodeLag
 from ..model.memory import AbstractMemory, FadingMemory
 from ..numerics.linear_recurrence import lag_after
 
 
-@singledispatch
 def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
     """Return the memory states one sample later, for x linear from `before` to `now` (scaled)."""
+    if isinstance(memory, FadingMemory):
+        return lag_after(state, before, now, jnp.exp(memory.log_tau), dt)
     return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
 
 
-@memory_after.register
-def _(memory: FadingMemory, state: Array, before: Array, now: Array, dt: float) -> Array:
-    return lag_after(state, before, now, jnp.exp(memory.log_tau), dt)
-
-
-@singledispatch
-def lag(drive: AbstractDrive) -> Array:
-    """Return the time constant tau of the electrode's inverse u = V + tau V', s."""
-    raise BadInput(f"a {type(drive).__name__} has no real-time inverse")
-
-
-@lag.register
-def _(drive: DirectDrive) -> Array:
-    return jnp.zeros((), jnp.float32)
-
-
-@lag.register
-def _(drive: ElectrodeLag) -> Array:
-    return jnp.exp(drive.log_tau)
-
-
-@singledispatch
 def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
     """Return the film voltage one sample later, for a voltage u linear from `before` to `now`."""
-    raise BadInput(f"no real-time step of a {type(drive).__name__}")
+    return lag_after(film, before, now, jnp.exp(drive.log_tau), dt) if isinstance(drive, ElectrodeLag) else now
 
 
-@film_after.register
-def _(drive: DirectDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    return now
-
-
-@film_after.register
-def _(drive: ElectrodeLag, film: Array, before: Array, now: Array, dt: float) -> Array:
-    return lag_after(film, before, now, jnp.exp(drive.log_tau), dt)
-
-
-@singledispatch
 def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
     """Return the film voltages at the stages and at the end of one sample with a constant voltage u."""
-    raise BadInput(f"no real-time step of a {type(drive).__name__}")
-
-
-@film_held.register
-def _(drive: DirectDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
-    return jnp.full(len(stages), now), now
-
-
-@film_held.register
-def _(drive: ElectrodeLag, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
+    if not isinstance(drive, ElectrodeLag):
+        return jnp.full(len(stages), now), now
     tau, first = jnp.exp(drive.log_tau), float(stages[2]) * dt
     left = (film - now) * jnp.exp(-stages * dt / tau)
     # the first stage makes Simpson's rule exact for the mean, because a short lag ends between two stages

@@ -1,8 +1,8 @@
 """Compile one-sample steps of the model and of its inverse (eq. 13) for a control loop.
 
-    inverse   (m, x, V_{-1}, V_{-2}), [x, ..., x^(n)]  ->  u = V + tau (3 V - 4 V_{-1} + V_{-2}) / (2 dt)
-    decoder   (s, V, u_{-1}), u                        ->  displacement at the sample of u
+    inverse   carry, [y, ..., y^(n)]  ->  carry, voltage           decoder   carry, voltage  ->  carry, displacement
 
+Both are the steps of exported code (`steps`).
 The state between samples is one flat float32 vector. The steps are exported (`jax.export`): as bytes they run in any
 later process on the same kind of device without this package. The inverse uses past samples only, `invert_path` both
 sides: V' is of 2nd order instead of 4th.
@@ -15,18 +15,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import export
+from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
 from ...common.errors import BadInput
-from ..model.coordinate import from_model, sign
-from ..model.equation import equation_force
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import full_precision
-from ..numerics.intersample import between
-from ..simulate.decoder import film_voltage, rest_state, stage_fractions, step
-from ..simulate.prediction import at_rate
-from .one_sample import film_after, lag, memory_after
+from . import steps
 
 
 @dataclass(frozen=True)
@@ -66,24 +62,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
         >>> round(float(volts))  # 1 mm at 1 kV
         1000
     """
-    model = _refused(model_of(model), dt)
-    memories, scale = model.memory.size, np.asarray(sign(model) * np.asarray(model.scales.state), np.float32)
-
-    def one(carry: Float[Array, " carry"], wanted: Float[Array, " tokens"]):
-        memory, (before, film_1, film_2) = carry[:memories], carry[memories:]
-        x = wanted / scale
-        memory = memory_after(model.memory, memory, before, x[0], dt)
-        force = equation_force(model, model.encoder.over()([*x[:-1], *memory]), list(x))[0]
-        film = film_voltage(model, force)
-        # V' from the last two samples, because later samples are unknown in a loop
-        voltage = film + lag(model.drive) * (3 * film - 4 * film_1 + film_2) / (2 * dt)
-        return jnp.concatenate([memory, jnp.stack([x[0], film, film_1])]), voltage
-
-    rest = jnp.zeros((), jnp.float32)
-    memory = model.memory.initial(rest)
-    rates = jnp.array(model.memory.rate()(memory, rest))
-    before = memory - dt * rates  # elapsed time: the first sample is at age 0
-    return _compiled(one, np.concatenate([np.asarray(before), np.zeros(3)]), model.order + 1)
+    return _compiled(steps.inverse(_refused(model_of(model), dt), dt))
 
 
 def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
@@ -109,18 +88,7 @@ def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
     model = _refused(model_of(model), dt)
     if model.hold == "bandlimited":
         raise BadInput("a model with hold 'bandlimited' has no real-time step; identify with hold 'zoh' or 'foh'")
-    model = at_rate(model, dt)
-    fractions = stage_fractions(model)
-
-    def one(carry: Float[Array, " carry"], drive: Float[Array, " one"]):
-        state, (film, before) = carry[:-2], carry[-2:]
-        now = film_after(model.drive, film, before, drive[0], dt)
-        stages = between(jnp.stack([film, now]), model.hold, fractions, jnp)[0]
-        state = step(model, state, stages, dt)
-        shown = jnp.asarray(from_model(model, state[0] * model.scales.state[0]))
-        return jnp.concatenate([state, jnp.stack([now, drive[0]])]), shown.astype(jnp.float32)
-
-    return _compiled(one, np.concatenate([np.asarray(rest_state(model)), np.zeros(2)]), 1)
+    return _compiled(steps.predict(model, dt))
 
 
 def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array]]:
@@ -159,14 +127,21 @@ def _refused(model: Model, dt: float) -> Model:
     return model
 
 
-def _compiled(one, carry: np.ndarray, inputs: int) -> CompiledStep:
+def _compiled(step: steps.Step) -> CompiledStep:
+    """Compile a step, with its carry at rest and between samples as one flat float32 vector."""
+    rest = jnp.zeros((), jnp.float32)
+    carry, unravel = ravel_pytree(_single(step.start(rest, rest)))
+
     def guarded(carry, values):
-        after, output = one(carry, values)
+        after, (output, *_) = step.run(unravel(carry), values)
         sound = jnp.isfinite(values).all()  # one lost sensor sample must not spoil the carry of all that follow
-        after, output = jnp.asarray(after, jnp.float32), jnp.asarray(output, jnp.float32)
+        after, output = _single((ravel_pytree(after)[0], output))
         return jnp.where(sound, after, carry), jnp.where(sound, output, jnp.nan)
 
-    carry = carry.astype(np.float32)
-    shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((inputs,), jnp.float32)
+    shapes = jax.ShapeDtypeStruct(carry.shape, jnp.float32), jax.ShapeDtypeStruct((step.inputs,), jnp.float32)
     exported = export.export(jax.jit(full_precision(guarded)))(*shapes)
-    return CompiledStep(carry, inputs, _compile(exported), exported)
+    return CompiledStep(np.asarray(carry), step.inputs, _compile(exported), exported)
+
+
+def _single(tree):
+    return jax.tree.map(lambda a: jnp.asarray(a, jnp.float32), tree)

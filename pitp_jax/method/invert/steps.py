@@ -1,4 +1,4 @@
-"""Define the exported one-sample steps: simulation, and inverse (voltage for a wanted motion), with effects.
+"""Define the one-sample steps of exported code and of control loops: simulation and inverse, with effects.
 
 Displacements y are in the one coordinate (`method.model.coordinate`): 0 at 0 V.
 
@@ -22,19 +22,18 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...common.quantity import Units
-from ...method.effects.effect import Effect
-from ...method.effects.kernels import shifted
-from ...method.invert.equation import tolerance
-from ...method.invert.one_sample import film_after, film_held, memory_after
-from ...method.model.coordinate import from_model, to_model
-from ...method.model.model import Model
-from ...method.numerics.intersample import weights
-from ...method.numerics.where import where
-from ...method.simulate import ports
-from ...method.simulate.decoder import stage_fractions, step, still_state
-from ...method.simulate.prediction import at_rate
+from ..effects.effect import Effect
+from ..effects.kernels import shifted
+from ..model.coordinate import from_model, to_model
+from ..model.model import Model
+from ..numerics.intersample import weights
+from ..numerics.where import where
+from ..simulate import ports
+from ..simulate.decoder import stage_fractions, step, still_state
+from ..simulate.prediction import at_rate
+from .equation import HUGE, tolerance
+from .one_sample import film_after, film_held, memory_after
 
-_HUGE = 1e3  # of the training force: replaces an infeasible force, as in `method.invert.equation`
 _BESIDE = 8  # samples of the parabola on either side: four slopes, each of which uses two samples on either side
 
 
@@ -139,7 +138,7 @@ def inverse(model: Model, dt: float) -> Step:
         seen = jnp.concatenate([x[:-1], memory])
         force = ports.needed(model, ports.split(model, states), x, seen)
         force = jnp.where(jnp.isnan(force), jnp.inf, force)  # a force beyond saturation is infinite
-        film = model.input_map.voltage(jnp.clip(force, -_HUGE, _HUGE) * model.scales.force)
+        film = model.input_map.voltage(jnp.clip(force, -HUGE, HUGE) * model.scales.force)
         films = jnp.append(films[1:], film)
         drive, levels, passes = _undone(model, films, levels, begun > 0, dt)
         never = model.input_map.infeasible(force + tolerance(model)) | ~passes
