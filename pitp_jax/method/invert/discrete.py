@@ -9,6 +9,7 @@ With frozen tokens a step is affine in its stage forces:  s_{t+1} - s_t = p(s_t)
           u_t -> u_{t+1} through the first row alone would be marginally stable.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import jax
@@ -21,18 +22,7 @@ from ..model.model import Model
 from ..model.programs import jit
 from ..numerics.intersample import between
 from ..simulate import ports
-from ..simulate.decoder import film_voltage, frozen_increment, stage_fractions, step
-
-
-def _affine(model: Model, state, dt):
-    """Compute p(s) and g_j(s) of s_{t+1} - s_t = p(s_t) + sum_j g_j(s_t) F_j for one time step."""
-    units = jnp.eye(3, dtype=state.dtype)
-
-    def stepped(forces):
-        return frozen_increment(model, state, (forces[0], forces[1], forces[2]), dt)
-
-    gains = jax.vmap(lambda unit: jax.jvp(stepped, (0 * unit,), (unit,))[1])(units)
-    return stepped(0 * units[0]), gains
+from ..simulate.decoder import film_voltage, frozen_increment, scaled_force, stage_fractions, step
 
 
 @jit
@@ -77,52 +67,63 @@ def discrete_inverse(
         raise ValueError(
             "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps"
         )
-    free, gains = jax.vmap(lambda s: _affine(model, s, dt))(states[:-1])
-    n = model.order
-    moved = jnp.diff(states, axis=0)  # exact for neighbouring states, so no rounding is added to the decoder's own
-    top = moved[:, n - 1] - free[:, n - 1]
+    rows, unit = _rows(model), _unit(model, states.dtype)
+
+    def change(state, now, later):
+        volts = between(unit * jnp.stack([now, later]), model.hold, stage_fractions(model), jnp)[0]
+        return frozen_increment(model, state, tuple(scaled_force(model, volts)), dt)[rows]
+
+    moved = jnp.diff(states, axis=0)[:, rows]  # exact for neighbouring states, so no rounding is added
+    zero, one = jnp.zeros((), states.dtype), jnp.ones((), states.dtype)
+    free, pushed = (jax.vmap(lambda s, v=v: change(s, v, v)[0])(states[:-1]) for v in (zero, one))
+    force = (moved[:, 0] - free) / (pushed - free)
     if model.hold == "zoh":
-        return film_voltage(model, top / gains[:, :, n - 1].sum(1))
+        return film_voltage(model, force)
+    start = film_voltage(model, jnp.append(force, force[-1:])) / unit + 1e-3  # where a square's slope is not zero
+    known = None if first is None else first / unit
+    return (_solved(model, change, states[:-1], moved, start, sweeps, known) * unit)[:-1]
+
+
+def _rows(model: Model) -> Array:
+    """Return the places of x^(n-1) and x^(n-2) in a state: together they fix all voltages."""
+    n = model.order
     # at order 1 there is no x^(n-2): the first memory, a lag of x, shows the alternating mode instead
-    second = n - 2 if n > 1 else (n if model.memory.size else None)
-    below = None if second is None else (moved[:, second] - free[:, second], gains[:, :, second])
-    return _solve_foh(model, (top, gains[:, :, n - 1]), below, first, sweeps)[:-1]
+    return jnp.array([n - 1, *([n - 2] if n > 1 else [n] if model.memory.size else [])])
 
 
-def _solve_foh(model: Model, upper, lower, first, sweeps):
-    """Solve for all voltages at once by Gauss-Newton, for a voltage that is linear between samples."""
-    top, top_gain = upper
-    dtype = top.dtype
-    force, voltage = model.input_map.force, model.input_map.voltage
-    unit = voltage(jnp.asarray(model.scales.force, dtype))
-    rows = [(top / top_gain.sum(1), top_gain / top_gain.sum(1)[:, None], jnp.ones((), dtype))]
-    if lower is not None:
-        total = lower[1].sum(1)
-        # both rows have the same rounding error, so the less sensitive one gets less weight
-        weight = jnp.median(jnp.abs(total / top_gain.sum(1))) ** 2
-        rows.append((lower[0] / total, lower[1] / total[:, None], weight))
-    known = jnp.zeros((), dtype) if first is None else jnp.asarray(first, dtype) / unit
-    anchor = 0.0 if first is None else 1.0
-
-    def slope(v):
-        return jax.jvp(force, (v,), (jnp.ones_like(v),))[1]
-
-    def sweep(u, _):
-        now, later = u[:-1], u[1:]
-        middle, equations = (now + later) / 2, []
-        for value, gain, weight in rows:
-            missed = value - (gain[:, 0] * force(now) + gain[:, 1] * force(middle) + gain[:, 2] * force(later))
-            by_now = gain[:, 0] * slope(now) + gain[:, 1] * slope(middle) / 2
-            by_later = gain[:, 2] * slope(later) + gain[:, 1] * slope(middle) / 2
-            equations.append((missed, by_now, by_later, weight))
-        u = u + _move(equations, anchor, anchor * (known - u[0]))
-        return voltage(force(u)), None  # the positive one of the two roots
-
-    start = voltage(jnp.append(rows[0][0], rows[0][0][-1:])) + 1e-3  # where a square's slope is not zero
-    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit
+def _unit(model: Model, dtype) -> Array:
+    return model.input_map.voltage(jnp.asarray(model.scales.force, dtype))
 
 
-def _move(equations: list, anchor=0.0, pull=0.0) -> Float[Array, " time"]:
+def _solved(
+    model: Model, change: Callable, states, target, start: Float[Array, " time"], sweeps: int, known=None
+) -> Float[Array, " time"]:
+    """Solve by Gauss-Newton for all voltages v with change(s_t, v_t, v_{t+1}) = target_t.
+
+    Args:
+        model: whose input map the voltages go through.
+        change: rows of one step.
+        states, target: at every step, shapes (T - 1, state) and (T - 1, rows).
+        start: over `_unit`.
+        sweeps: iterations.
+        known: the first voltage, or None.
+    """
+    one, square = jnp.ones((), start.dtype), model.input_map.one_sided
+    gain = jax.jvp(lambda v: change(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
+    weight = (gain / gain[0]) ** 2  # all rows have the same rounding error
+
+    def sweep(v, _):
+        each = states, v[:-1], v[1:]
+        missed = (target - jax.vmap(change)(*each)) / gain
+        by_now, by_later = (j / gain for j in jax.vmap(jax.jacfwd(change, (1, 2)))(*each))
+        pull = (0.0, 0.0) if known is None else (1.0, known - v[0])
+        v = v + _move([(missed[:, k], by_now[:, k], by_later[:, k], weight[k]) for k in range(len(gain))], *pull)
+        return jnp.abs(v) if square else v, None  # the positive one of the two roots
+
+    return jax.lax.scan(sweep, start, None, length=sweeps)[0]
+
+
+def _move(equations: list, anchor, pull) -> Float[Array, " time"]:
     """Solve for the Gauss-Newton step of all voltages, from residual, derivatives and weight of every step.
 
     `anchor`, `pull`: weight and weighted error of the first voltage, if it is known.
@@ -162,25 +163,10 @@ def along_motion(
         raise BadInput("kind 'discrete' needs a model with hold 'foh' or 'zoh'; give kind='closed_form'")
     model = replace(model, effects=tuple(e for e in model.effects if e.port != "IN"))
     states = jnp.concatenate([features, *ports.along(model, features[:, 0], dt)], -1)
-    n, dtype = model.order, states.dtype
-    # at order 1 there is no x^(n-2): the first memory, if any, shows the alternating mode instead
-    rows = [n - 1, *([n - 2] if n > 1 else [n] if model.memory.size else [])]
-    unit = model.input_map.voltage(jnp.asarray(model.scales.force, dtype))
+    rows, unit = _rows(model), _unit(model, states.dtype)
 
     def after(state, now, later):
         stages = between(unit * jnp.stack([now, later]), model.hold, stage_fractions(model), jnp)[0]
-        return step(model, state, stages, dt)[jnp.array(rows)]
+        return step(model, state, stages, dt)[rows]
 
-    one, square = jnp.ones((), dtype), model.input_map.one_sided
-    gain = jax.jvp(lambda v: after(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
-    weight = (gain / gain[0]) ** 2  # all rows have the same rounding error
-
-    def sweep(v, _):
-        each = states[:-1], v[:-1], v[1:]
-        missed = (states[1:, jnp.array(rows)] - jax.vmap(after)(*each)) / gain
-        by_now, by_later = (j / gain for j in jax.vmap(jax.jacfwd(after, (1, 2)))(*each))
-        v = v + _move([(missed[:, k], by_now[:, k], by_later[:, k], weight[k]) for k in range(len(rows))])
-        return jnp.maximum(v, 0.0) if square else v, None
-
-    start = film_voltage(model, force) / unit
-    return jax.lax.scan(sweep, start, None, length=sweeps)[0] * unit
+    return _solved(model, after, states[:-1], states[1:, rows], film_voltage(model, force) / unit, sweeps) * unit
