@@ -49,15 +49,9 @@ def with_error(value: float, stderr: float | None, unit: str) -> str:
     """Write a value with its standard error, `0.4781 ± 0.0002 ms`; without ± if the error is unknown."""
     if not stderr or not math.isfinite(stderr):
         return f"{figure(value)} {unit}".strip()
-    size = max(abs(value), stderr)  # a value smaller than its error is written in the error's power of ten
-    power = _power(size) if not 1e-3 <= size < 1e6 else 0
-    value, stderr = value / 10.0**power, stderr / 10.0**power
-    lead = _power(stderr)
-    places = -lead + (stderr / 10.0**lead < 2)
-    text = " ± ".join(f"{round(v, places):.{max(places, 0)}f}" for v in (value, stderr)).replace("-", "−")
-    if power:
-        text = f"({text})·10{str(power).translate(_DIGITS)}"
-    return f"{text} {unit}".strip()
+    texts, scaled = _to_digits_of(stderr, value, stderr)
+    text = " ± ".join(texts)
+    return f"{f'({text}){scaled}' if scaled else text} {unit}".strip()
 
 
 def with_interval(value: float, low: float, high: float, unit: str) -> str:
@@ -65,13 +59,19 @@ def with_interval(value: float, low: float, high: float, unit: str) -> str:
     width = (high - low) / 4
     if not width or not math.isfinite(width):
         return f"{figure(value)} {unit}".strip()
-    size = max(abs(value), abs(low), abs(high))
-    power = _power(size) if not 1e-3 <= size < 1e6 else 0
-    lead = _power(width / 10.0**power)
-    places = -lead + (width / 10.0**power / 10.0**lead < 2)
-    texts = [f"{round(v / 10.0**power, places):.{max(places, 0)}f}".replace("-", "−") for v in (value, low, high)]
-    scaled = f"·10{str(power).translate(_DIGITS)}" if power else ""
+    texts, scaled = _to_digits_of(width, value, low, high)
     return f"{f'{texts[0]}{scaled} {unit}'.strip()} ({texts[1]} to {texts[2]}{scaled})"
+
+
+def _to_digits_of(error: float, *values: float) -> tuple[list[str], str]:
+    """Round values to the digits that an error determines; return their texts, and the power of ten of all of them."""
+    size = max(map(abs, values))
+    power = _power(size) if not 1e-3 <= size < 1e6 else 0
+    error = error / 10.0**power
+    lead = _power(error)
+    places = -lead + (error / 10.0**lead < 2)
+    texts = [f"{round(v / 10.0**power, places):.{max(places, 0)}f}".replace("-", "−") for v in values]
+    return texts, f"·10{str(power).translate(_DIGITS)}" if power else ""
 
 
 def shown_unit(unit: str) -> str:

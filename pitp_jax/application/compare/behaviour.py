@@ -17,6 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from scipy.signal import chirp
 
 from ...common.numbers import number
 from ...common.quantity import Units
@@ -100,10 +101,8 @@ def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, f
     duration = _PERIODS / hertz
     dt = max(min(a.dt, b.dt), duration / _MOST)
     t = dt * np.arange(round(duration / dt))
-    first, last = hertz / 20, min(2 * hertz, 0.2 / dt)
-    ratio = np.log(last / first)
-    phase = 2 * np.pi * first * duration / ratio * np.expm1(t / duration * ratio)
-    return low + 0.48 * (high - low) * (1 - np.cos(phase)), dt
+    wave = chirp(t, hertz / 20, duration, min(2 * hertz, 0.2 / dt), method="logarithmic")
+    return low + 0.48 * (high - low) * (1 - wave), dt
 
 
 def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarray, dt: float) -> Behaviour:

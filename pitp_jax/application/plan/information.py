@@ -8,20 +8,11 @@ v is the mean variance of the predictions; the prior enters Lambda as one more r
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 _JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix barely singular
-
-
-@dataclass(frozen=True)
-class Choice:
-    """A chosen candidate: its index, and the mean variance of the predictions after it is recorded."""
-
-    place: int
-    variance: float
 
 
 def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
@@ -32,12 +23,9 @@ def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
     )
 
 
-def gains(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray) -> np.ndarray:
-    """Return the mean variance of predictions after each candidate alone is recorded, shape (candidates,)."""
-    return np.array([variance(precision + c, predicted) for c in candidates])
-
-
-def choose(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int) -> list[Choice]:
+def choose(
+    precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int
+) -> tuple[list[int], list[float]]:
     """Choose `count` candidates one by one, each the one that lowers the mean variance of predictions most.
 
     Args:
@@ -45,12 +33,17 @@ def choose(precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: n
         candidates: M_c, shape (P, P) each.
         predicted: G, shape (P, P).
         count: number of recordings, at most all.
+
+    Returns:
+        their places, and the mean variance before the first and after each of them.
     """
     # One at a time: subsets of 48 would be too many, and two candidates with the same information are not both chosen.
-    remaining, taken = list(range(len(candidates))), []
-    while remaining and len(taken) < count:
-        after = gains(precision, [candidates[k] for k in remaining], predicted)
+    taken, variances = [], [variance(precision, predicted)]
+    while len(taken) < min(count, len(candidates)):
+        remaining = [k for k in range(len(candidates)) if k not in taken]
+        after = [variance(precision + candidates[k], predicted) for k in remaining]
         best = int(np.argmin(after))
-        taken.append(Choice(remaining.pop(best), float(after[best])))
-        precision = precision + candidates[taken[-1].place]
-    return taken
+        taken.append(remaining[best])
+        variances.append(after[best])
+        precision = precision + candidates[remaining[best]]
+    return taken, variances

@@ -18,7 +18,7 @@ from ...method.signal.record import Record
 from .drives import Planned, space_filling
 from .expected_error import Knowledge, Motions, knowledge, motions
 from .first_session import FEWEST, POINTS, default_duration, drive
-from .information import choose, variance
+from .information import choose
 from .limits import Limits
 from .strokes import strokes
 
@@ -97,9 +97,10 @@ def greedy(
 ) -> tuple[list[int], tuple[float, ...], int]:
     """Choose `count` candidates one by one; return indices, expected errors (%), and how many are worthwhile."""
     g = np.mean([m for m, ok in zip(predicted.information, predicted.finite, strict=True) if ok], axis=0)
-    taken = choose(known.precision, [t * m for t, m in zip(seconds, offered.information, strict=True)], g, count)
-    v = known.unit * np.array([variance(known.precision, g), *(c.variance for c in taken)])
+    moved = [t * m for t, m in zip(seconds, offered.information, strict=True)]
+    taken, variances = choose(known.precision, moved, g, count)
+    v = known.unit * np.array(variances)
     # compared with the model's residual: a variance below it cannot be seen in any measured error
     seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
     worth = len(taken) if seen.all() else int(np.argmin(seen))
-    return [c.place for c in taken], tuple(map(float, np.sqrt(v))), worth
+    return taken, tuple(map(float, np.sqrt(v))), worth

@@ -20,7 +20,6 @@ from .table import Column, Table
 
 _EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # candidates for the input, the likelier first
 _MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
-_ROLE = {"time": "time", "voltage": "input", "displacement": "output"}
 _WORD = {
     "time": "time (time_s, ...)",
     "voltage": "input (voltage_V, input_rad, ...)",
@@ -342,7 +341,7 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     if not pool and quantity == "time" and options.rate is not None:
         return Choice(None, "--rate", "s")
     if not pool:
-        worded = [s for s in seen if s.column.form == "text" and s.role == _ROLE[quantity]]
+        worded = [s for s in seen if s.column.form == "text" and s.role == stem]
         if worded:
             raise _Ask(f"column {worded[0].column.name!r} holds text; write plain numbers without thousands separators")
         raise _Ask(f"the {_WORD[quantity]} is missing")

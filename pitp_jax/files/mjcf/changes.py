@@ -54,7 +54,9 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
             continue
         old = getattr(joint, attribute)
         found.append(
-            _moved(joint, attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit))
+            _moved(
+                "joint", attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit), 0.0
+            )
         )
     found, element = _with_weight(joint, found, rows.get(_WEIGHT), f, k)
     found += _of_actuator(joint, rows, f * k)
@@ -93,7 +95,7 @@ def _with_weight(
     if hung is None:
         return found, ""
     weight, element, rest = hung
-    new = _moved(joint, "armature", joint.armature, rest, None, "kg m^2")
+    new = _moved("joint", "armature", joint.armature, rest, None, "kg m^2")
     new = replace(new, text=f"{new.text}, less the inertia of the weight below")
     return [*(c for c in found if c is not changed), new, weight], element
 
@@ -147,10 +149,13 @@ def _linear(unit: str) -> str:
     return unit.replace("kg m^2", "kg").replace("N m s/rad", "N s/m").replace("N m/rad", "N/m").replace("N m", "N")
 
 
-def _moved(joint: Joint, attribute: str, old: float, new: float, error: float | None, unit: str) -> Change:
-    between = "" if error is None else f" ({number(max(new - 1.96 * error, 0.0))} to {number(new + 1.96 * error)})"
-    return Change("joint", attribute, number(old), number(new, 6),
-                  f"{attribute}: {number(old)} -> {number(new)}{between} {unit}")  # fmt: skip
+def _moved(
+    element: str, attribute: str, old: float, new: float, error: float | None, unit: str, least: float = -math.inf
+) -> Change:
+    """Return the change of one number with its 95 % interval, of which `least` is the lowest possible end."""
+    between = "" if error is None else f" ({number(max(new - 1.96 * error, least))} to {number(new + 1.96 * error)})"
+    text = f"{attribute}: {number(old)} -> {number(new)}{between} {unit}"
+    return Change(element, attribute, number(old), number(new, 6), text)
 
 
 def _lag_attribute(joint: Joint) -> str | None:
@@ -163,12 +168,12 @@ def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> 
     found = []
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)
-        found.append(_timed("delay", joint.delay, new, row.stderr))
+        found.append(_moved("actuator", "delay", joint.delay, new, row.stderr, "s"))
         found.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
     row = rows.get("electrode_rc tau") or rows.get("sensor_lag tau")
     if row is not None and (attribute := _lag_attribute(joint)):
         new = max(joint.lag + row.difference, 0.0)
-        found.append(_timed(attribute, joint.lag, new, row.stderr))
+        found.append(_moved("actuator", attribute, joint.lag, new, row.stderr, "s"))
         if attribute == "dynprm":
             found.append(Change("actuator", "dyntype", "", "filterexact", ""))
     for name, attribute, scale in (
@@ -181,13 +186,6 @@ def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> 
             if not joint.autolimits:
                 found.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
     return found
-
-
-def _timed(attribute: str, old: float, new: float, error: float | None) -> Change:
-    between = "" if error is None else f" ({number(new - 1.96 * error)} to {number(new + 1.96 * error)})"
-    return Change(
-        "actuator", attribute, number(old), number(new, 6), f"{attribute}: {number(old)} -> {number(new)}{between} s"
-    )
 
 
 def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:

@@ -18,7 +18,7 @@ from jaxtyping import Float
 from ...common.shown import Shown
 from ..model.model import Hold
 from .heldout import Candidate
-from .linear_ode import polynomial, polynomial_slopes
+from .linear_ode import pole_slopes, polynomial, polynomial_slopes
 from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
 
 _BLOCKS, _IN_A_ROW = 64, 4
@@ -88,7 +88,11 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     determined, static, slow = _determined(poles, spread, problem)
     known = candidate.converged and determined
     hidden = [0] * slow + [1] * static
-    upper = sorted(poles[np.imag(poles) >= 0], key=abs)
+    upper = np.flatnonzero(np.imag(poles) >= 0)
+    upper = upper[np.argsort(np.abs(poles[upper]))]
+    pairs, size = poles[upper], np.abs(poles[upper])
+    # d |p| = Re(p* dp) / |p|
+    rates = np.real(np.conj(pairs / size)[:, None] * pole_slopes(params[:n])[upper])
     delay = float(np.exp(params[-1])) if structure.delayed else 0.0
     return OrderFit(
         order=n,
@@ -99,9 +103,9 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         mae=float(np.abs(residual).sum() / problem.samples),
         rms=float(np.sqrt((residual**2).sum() / problem.samples)),
         heldout=100 * candidate.heldout.score,
-        natural_hz=np.array([abs(r) / (2 * np.pi) for r in upper]),
-        damping=np.array([-r.real / abs(r) for r in upper]),
-        natural_stderr=_of_frequencies(params, main, upper, structure),
+        natural_hz=size / (2 * np.pi),
+        damping=-np.real(pairs) / size,
+        natural_stderr=np.sqrt(np.clip(np.diag(rates @ main[:n, :n] @ rates.T), 0, None)) / (2 * np.pi),
         offset=zero_of(problem.main, solved.gains, problem),
         polarity=float(np.sign(solved.gains[0]) or 1.0),
         converged=candidate.converged,
@@ -144,20 +148,6 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
     # d log a_i = d log c_i - d log c_0 - d log |g|
     relative = np.concatenate([slopes / poly[:, None] - slopes[0] / poly[0], np.full((len(poly), 1), -1 / gain)], 1)
     return a, a[:, None] * relative
-
-
-def _of_frequencies(params, spread: np.ndarray, upper, structure: Structure) -> np.ndarray:
-    """Return the standard errors of the natural frequencies |p| / 2 pi (Hz), in the order of the poles `upper`."""
-    errors = []
-    for pole in upper:
-        slope = np.zeros(structure.order + 1)
-        for j in range(structure.order):
-            moved = params.copy()
-            moved[j] += 1e-5
-            other = poles_of(moved, structure)
-            slope[j] = (np.abs(other[np.argmin(np.abs(other - pole))]) - abs(pole)) / 1e-5
-        errors.append(float(np.sqrt(max(slope @ spread @ slope, 0.0)) / (2 * np.pi)))
-    return np.array(errors)
 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:

@@ -19,7 +19,7 @@ from ...common.errors import BadInput, refuse_traced
 from ..model.coordinate import to_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
-from ..numerics.spline_derivative import derivatives, inner, reach
+from ..numerics.spline_derivative import derivatives_of_blocks
 from .equation import force_and_voltage, scaled_equation, tolerance
 
 _WINDOW = 1 << 17  # rows of a window
@@ -78,7 +78,7 @@ def _pieces(model: Model, blocks, dt: float, window: int) -> Iterator[Piece]:
     state = model.memory.initial(jnp.zeros((), model.coefficients.dtype))
     rows, back = np.zeros((0, model.order + 1)), 0
     moved = (to_model(model, block) for block in _whole(blocks))
-    for more in _derivatives(_sized(moved, window), dt, model.order):
+    for more in derivatives_of_blocks(_sized(moved, window), dt, model.order):
         rows = np.concatenate([rows, more])
         while len(rows) > window:
             inverted = force_and_voltage(model, scaled_equation(model, rows[:window]), dt, state)
@@ -118,22 +118,3 @@ def _sized(blocks: Iterable[np.ndarray], size: int) -> Iterator[np.ndarray]:
             waiting, count = [], 0
     if count:
         yield np.concatenate(waiting)
-
-
-def _derivatives(blocks: Iterator[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
-    """Yield rows [x, ..., x^(n)] of the samples in order; the last samples wait until later ones arrive."""
-    r, held, begun = reach(order), np.zeros(0), False
-    for block in blocks:
-        held = np.concatenate([held, block])
-        if len(held) <= 6 * r:
-            continue
-        if not begun:  # the filters' start-up reaches R samples in, so the spline itself is used there
-            yield derivatives(held[: 3 * r], dt, order)[:r]
-        yield inner(held[r:] if begun else held, dt, order)
-        held, begun = held[-3 * r :], True
-    if not begun:
-        yield derivatives(held, dt, order)
-        return
-    if len(held) > 3 * r:
-        yield inner(held[r:], dt, order)
-    yield derivatives(held[-3 * r :], dt, order)[-r:]

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from ..numerics.linear_recurrence import first_order_lags, lag_after, scalar_recurrence
+from ..numerics.linear_recurrence import first_order_lags, lag_after, lag_weights, scalar_recurrence
 
 
 class AbstractDrive(eqx.Module):
@@ -80,9 +80,8 @@ class ElectrodeLag(AbstractDrive):
 
         An error of `first` alternates in sign and decays by dt / (3 tau) a sample.
         """
-        fraction = (dt / jnp.exp(self.log_tau)).astype(film.dtype)
-        settle = -jnp.expm1(-fraction)  # 1 - q
-        rise = 1 - settle / fraction  # c, the part of u_{t+1} that reaches V_{t+1}
+        # 1 - q, and c: the part of u_{t+1} that reaches V_{t+1}
+        settle, rise = (w.astype(film.dtype) for w in lag_weights(jnp.exp(self.log_tau), dt))
         drive = (film[1:] - (1 - settle) * film[:-1]) / rise
         keep = -(settle - rise) / rise  # between -1 and 0: the inverse is stable for any tau
         return scalar_recurrence(keep, drive, first)

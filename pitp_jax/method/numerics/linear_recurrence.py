@@ -33,8 +33,7 @@ def first_order_lags(
     With q = exp(-dt/tau):  z_{t+1} = q z_t + (1 - q) x_t + (1 - (1 - q) tau/dt) (x_{t+1} - x_t).
     """
     fraction = (dt / tau).astype(x.dtype)
-    settle = -jnp.expm1(-fraction)  # 1 - q, which a plain difference loses to rounding if tau is many samples
-    slope = 1 - settle / fraction
+    settle, slope = (weight.astype(x.dtype) for weight in lag_weights(tau, dt))
     drive = settle * x[:-1, None] + slope * jnp.diff(x)[:, None]
     keep = 1 - settle
 
@@ -123,7 +122,7 @@ def lag_after(start, before, now, tau, dt) -> Array:
 
 def lag_weights(tau, dt) -> tuple[Array, Array]:
     """Return the two weights that `lag_followed` needs for samples of dt (s)."""
-    settle = -jnp.expm1(-dt / tau)
+    settle = -jnp.expm1(-dt / tau)  # 1 - q, which a plain difference loses to rounding if tau is many samples
     return settle, 1 - settle * tau / dt
 
 

@@ -8,6 +8,7 @@ samples from either side. Near the two ends of a path the spline itself is used.
 local: a path may come in pieces. One spline over all takes 30 times as long (docs/decisions/decoder.md).
 """
 
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -79,8 +80,23 @@ def inner(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndar
 
 def fast_derivatives(x: Float[np.ndarray, " time"], dt: float, order: int) -> Float[np.ndarray, "time tokens"]:
     """Differentiate a whole path as `derivatives`, but faster; return [x, x', ..., x^(order)]."""
-    r = reach(order)
-    if len(x) <= 6 * r:  # the two end pieces of 3 R are then the whole path
-        return derivatives(x, dt, order)
-    head, tail = derivatives(x[: 3 * r], dt, order)[:r], derivatives(x[-3 * r :], dt, order)[-r:]
-    return np.concatenate([head, inner(np.asarray(x, np.float64), dt, order), tail])
+    return np.concatenate(list(derivatives_of_blocks([np.asarray(x, np.float64)], dt, order)))
+
+
+def derivatives_of_blocks(blocks: Iterable[np.ndarray], dt: float, order: int) -> Iterator[np.ndarray]:
+    """Yield rows [x, ..., x^(n)] of the samples in order; the last samples wait until later ones arrive."""
+    r, held, begun = reach(order), np.zeros(0), False
+    for block in blocks:
+        held = np.concatenate([held, block])
+        if len(held) <= 6 * r:
+            continue
+        if not begun:  # the filters' start-up reaches R samples in, so the spline itself is used there
+            yield derivatives(held[: 3 * r], dt, order)[:r]
+        yield inner(held[r:] if begun else held, dt, order)
+        held, begun = held[-3 * r :], True
+    if not begun:
+        yield derivatives(held, dt, order)
+        return
+    if len(held) > 3 * r:
+        yield inner(held[r:], dt, order)
+    yield derivatives(held[-3 * r :], dt, order)[-r:]

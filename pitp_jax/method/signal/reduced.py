@@ -12,12 +12,13 @@ as long as 99.9 % (of what is not noise) needs, unless more samples would remain
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Any, TypeVar
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
 
+from ..numerics.coloured_noise import block_means
 from .checks import MIN_SAMPLES
 from .initial_state import noise_std
 from .preprocess import force_band
@@ -28,21 +29,7 @@ _WORTH = 3  # samples a block: below, all samples are kept if they can be used
 _BEYOND = 3.0  # times the motion's band: a mode above does not move in these records
 
 
-@runtime_checkable
-class Sampled(Protocol):
-    """The parts of a model that block averaging uses: input map, coefficients, and itself at another sampling rate."""
-
-    @property
-    def input_map(self) -> Any:  # noqa: D102
-        ...
-    @property
-    def physical_coefficients(self) -> np.ndarray:  # noqa: D102
-        ...
-    def sampled(self, dt: float, hold: Any) -> Any:  # noqa: D102
-        ...
-
-
-M = TypeVar("M", bound=Sampled)
+M = TypeVar("M", bound=Any)  # a model: it lies above this room
 
 
 def reduce_rate(
@@ -108,11 +95,8 @@ def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Re
     half of it was observed.
     """
     count = record.samples // size
-    seen = record.observed[: count * size].reshape(count, size)
-    y = np.where(seen, record.displacement[: count * size].reshape(count, size), 0.0).sum(1)
-    observed = seen.sum(1)
-    # a half or more of the block was observed
-    y = np.where(2 * observed >= size, y / np.maximum(observed, 1), np.nan)
+    y, observed = block_means(np.nan_to_num(record.displacement), record.observed.astype(float), size)
+    y = np.where(observed >= 0.5, y, np.nan)  # a half or more of the block was observed
     # a mean belongs to the middle of its block
     middle = record.time[0] + record.dt * ((size - 1) / 2 + size * np.arange(count))
     return Record(record.name, middle, means(force, size), y, source=record.source)
@@ -142,7 +126,7 @@ def centred_means(series: np.ndarray, size: int, rest: bool) -> np.ndarray:
     return np.where(share > 0.5, sums / size / np.maximum(share, 0.5), np.nan)
 
 
-def _with_voltage(record: Record, force: np.ndarray, size: int, model: Sampled) -> Record:
+def _with_voltage(record: Record, force: np.ndarray, size: int, model: Any) -> Record:
     """Average a record over blocks; its voltage is that of the mean input, with the sign of the mean voltage."""
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)

@@ -14,7 +14,7 @@ from matplotlib.patches import Rectangle
 from ....common.numbers import figure as digits
 from ....common.numbers import percent, shown_unit
 from ....common.picture import Picture, figure_of, finish, new_axes
-from ....common.units import INPUT_UNITS, OUTPUT_UNITS, base_unit
+from ....common.quantity import Quantity
 from ....method.diagnose.diagnosis import Diagnosis
 from ....method.diagnose.result import Ranked
 from ....method.diagnose.traces import Trace
@@ -54,7 +54,7 @@ def figures(d: Diagnosis) -> dict[str, Picture]:
 
 def gap(d: Diagnosis) -> tuple[Figure, str]:
     """Draw measured, nominal and returned output of the worst held-out record, with both errors below."""
-    (scale, unit), trace = output_unit(d), worst(d)
+    (scale, unit), trace = scaling(units_of(d.model).output), worst(d)
     runs = [("model, refitted" if refitted(d) else "model as given", scale * trace.nominal, ERROR)]
     if d.handed_back or d.effects:
         added = "all effects" if len(d.effects) > 1 else "".join(d.effects)
@@ -87,7 +87,7 @@ def _loudest(e: np.ndarray, width: int) -> int:
 def where_map(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the missing force by input frequency and amplitude, one square a visited cell."""
     ax: Axes = new_axes(1, 3.2)[0]
-    cells, (scale, unit) = d.where["cells"], output_unit(d)
+    cells, (scale, unit) = d.where["cells"], scaling(units_of(d.model).output)
     bands = sorted({(*c["band_hz"],) for c in cells})
     sizes = sorted({(*c["amplitude"],) for c in cells})
     largest = max([c["share"] for c in cells], default=0.0) or 1.0
@@ -164,8 +164,9 @@ def shares(d: Diagnosis) -> tuple[Figure, str]:
 
 def force(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fractions of the missing force by output, velocity and input."""
-    units, (scale, unit) = units_of(d.model), output_unit(d)
-    factor, command = drive_unit(units.input.unit)
+    units = units_of(d.model)
+    scale, unit = scaling(units.output)
+    factor, command = scaling(units.input)
     panels = [
         ("displacement", "range", scale, f"{units.output_word} ({unit})"),
         ("velocity", "range", scale, f"{units.velocity_word} ({shown_unit(units.output.rate)})"),
@@ -203,16 +204,9 @@ def excitation(d: Diagnosis) -> tuple[Figure, str]:
     return signals(e.time, [(label, voltage, DRIVE)]), f"To play: {e.excitation}."
 
 
-def output_unit(d: Diagnosis) -> tuple[float, str]:
-    """Return the factor from m or V to the unit of the user's files, and the displayed name of this unit."""
-    unit = d.model.origin.displacement_unit
-    return 1 / OUTPUT_UNITS[unit], shown_unit(unit)
-
-
-def drive_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from the input's base unit to the displayed unit (V for a voltage), and its name."""
-    shown = "V" if base_unit(unit) == "V" else unit
-    return 1 / INPUT_UNITS[shown], shown_unit(shown)
+def scaling(quantity: Quantity) -> tuple[float, str]:
+    """Return the factor from the base unit of a quantity to its shown unit, and the displayed name of this unit."""
+    return 1 / quantity.factor, shown_unit(quantity.unit)
 
 
 def refitted(d: Diagnosis) -> bool:

@@ -11,7 +11,7 @@ from ....method.diagnose import rules
 from ....method.diagnose.diagnosis import Diagnosis
 from ....method.diagnose.words import NEXT_CSV, errors, named, numbers_of, summary, worst
 from ....method.model.units import units_of
-from .figures import by_closed_fraction, drive_unit, figures, fraction_closed, output_unit, refitted
+from .figures import by_closed_fraction, figures, fraction_closed, refitted, scaling
 
 _NEAREST = 3  # candidates named on a card
 _GATHERED, _OVER = 0.6, 2.0  # a fraction that counts as concentrated, and its least ratio to the time spent there
@@ -69,7 +69,7 @@ def _how_far(d: Diagnosis) -> Card:
         lines.append(f"Model as given: {of_range(g.unrefitted)}; refitted without any effect: {of_range(g.before)}.")
     if d.verdict == "no_gap":
         return Card("How far", f"{of_range(g.before)} of range", ["There is no gap to close.", *lines])
-    scale, unit = output_unit(d)
+    scale, unit = scaling(units_of(d.model).output)
     held = [t for t in d.traces if t.heldout] or d.traces
     before, after = (
         scale * np.sqrt(np.mean([np.nanmean((run - t.measured) ** 2) for t, run in runs]))
@@ -83,8 +83,9 @@ def _how_far(d: Diagnosis) -> Card:
 
 def _concentrations(d: Diagnosis) -> list[str]:
     """Describe where most of the gap lies within a rarely visited part of an axis, the clearest case first."""
-    units, (scale, unit) = units_of(d.model), output_unit(d)
-    factor, command = drive_unit(units.input.unit)
+    units = units_of(d.model)
+    scale, unit = scaling(units.output)
+    factor, command = scaling(units.input)
     facts = []
     for axis, words, scaled, key in (
         ("displacement", f"of the missing force acts at {units.output_word}s of {{}} to {{}} {unit}", scale, "range"),
@@ -183,7 +184,7 @@ def _closed(row) -> str:
 
 
 def _records(d: Diagnosis) -> Table:
-    scale, unit = output_unit(d)
+    scale, unit = scaling(units_of(d.model).output)
     rows, of_gap = [], d.where["records"]
     for t in sorted(d.traces, key=lambda t: -of_gap.get(t.name, 0.0)):
         before, after = errors(t)

@@ -193,10 +193,6 @@ def _branches(make, params, args, equation):
     return [_each(lambda *c: _one_of(make, which, c), case) for case in zip(*branches, strict=True)]
 
 
-def _clamped(make, params, args, equation):
-    return [_each(lambda low, x, high: make.make("min", make.make("max", x, low), high), args)]
-
-
 def _reduced(op: str):
     def reduce(make, params, args, equation):
         axes = tuple(params["axes"])
@@ -368,27 +364,20 @@ def _convolved(make, params, args, equation):
     return [_array(sums, equation.outvars[0].aval.shape)]
 
 
-def _square(make, params, args, equation):
-    return [_each(lambda a: make.make("mul", a, a), args)]
-
-
-def _logistic(make, params, args, equation):
-    return [_each(lambda a: make.make("div", 1.0, make.make("add", 1.0, make.make("exp", make.make("neg", a)))), args)]
-
-
-def _summed(make, params, args, equation):
-    return [_each(lambda a, b: make.make("add", a, b), args)]
-
-
-def _rsqrt(make, params, args, equation):
-    return [_each(lambda a: make.make("div", 1.0, make.make("sqrt", a)), args)]
+def _written_as(expression: Callable):
+    """Return the rule of an operation that is an expression of others, fn(make, *numbers)."""
+    return lambda maker, params, args, equation: [_each(lambda *a: expression(maker.make, *a), args)]
 
 
 _SPECIAL = {
     "convert_element_type": _converted,
     "conv_general_dilated": _convolved, "integer_pow": _power, "select_n": _chosen, "cond": _branches,
-    "clamp": _clamped, "reduce_sum": _reduced("add"), "reduce_max": _reduced("max"), "reduce_min": _reduced("min"),
+    "reduce_sum": _reduced("add"), "reduce_max": _reduced("max"), "reduce_min": _reduced("min"),
     "reduce_and": _reduced("and"), "reduce_or": _reduced("or"), "dot_general": _product, "scatter": _scattered,
-    "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated, "square": _square,
-    "logistic": _logistic, "rsqrt": _rsqrt, "add_any": _summed,
+    "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated,
+    "square": _written_as(lambda make, a: make("mul", a, a)),
+    "logistic": _written_as(lambda make, a: make("div", 1.0, make("add", 1.0, make("exp", make("neg", a))))),
+    "rsqrt": _written_as(lambda make, a: make("div", 1.0, make("sqrt", a))),
+    "add_any": _written_as(lambda make, a, b: make("add", a, b)),
+    "clamp": _written_as(lambda make, low, x, high: make("min", make("max", x, low), high)),
 }  # fmt: skip
