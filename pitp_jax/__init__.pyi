@@ -27,6 +27,7 @@ from .files.export.pi_gains import pi_gains as pi_gains
 from .files.mjcf.verify import Verification as Verification
 from .files.mjcf.verify import verify_mjcf as verify_mjcf
 from .files.mjcf.write import Written as Written
+from .files.model_file.ensemble import train_ensemble as train_ensemble
 from .files.model_file.model_file import load as load
 from .files.model_file.model_file import save as save
 from .files.recordings.reading import read as read
@@ -82,7 +83,6 @@ from .method.train.cross_validation import cross_validate as cross_validate
 from .method.train.ensemble import Band as Band
 from .method.train.ensemble import Ensemble as Ensemble
 from .method.train.ensemble import predict_band as predict_band
-from .method.train.ensemble import train_ensemble as train_ensemble
 from .method.train.residual import residual as residual
 from .method.train.residual import residual_loss as residual_loss
 from .method.train.settings import Settings as Settings

@@ -10,7 +10,6 @@ STOREYS = ("common", "method", "files", "application")  # each imports itself an
 ROOMS = ("numerics", "signal", "model", "effects", "simulate", "fit")  # inside `method`, likewise; the methods follow
 EXCEPTIONS = {  # may only shrink
     ("method.model.lineage", "files.model_file.model_file"),
-    ("method.train.ensemble", "files.model_file.model_file"),
 }
 
 

@@ -6,37 +6,28 @@
 The spread cannot show an error common to all members, so b is added: Q are the quantiles of the mean's |error| / range
 on the R training records. Errors of free runs are not normal: most are small, and a few are large. Student's factor
 accounts for the R records behind Q (docs/decisions/training.md).
-
-Of P JAX processes, number p trains the members p, p + P, ...; in the end every process has them all.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from jax.experimental.multihost_utils import process_allgather
 from jaxtyping import Float
 
 from ...common.errors import BadInput
 from ...common.shown import Shown
-from ...files.model_file.model_file import load, save
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
-from ..model.own_encoder import own_module
 from ..model.programs import jit
-from ..signal.initial_state import in_motion
 from ..signal.record import Record
 from ..signal.sets import check_set
 from ..simulate import ports
 from ..simulate.decoder import rollout
 from ..simulate.prediction import FAR, at_rate, begin
-from .training import train
 
 _LEVELS = 201  # quantiles of the errors, every half percent
 
@@ -82,7 +73,7 @@ class Ensemble(Shown):
 
     def __post_init__(self):
         """Refuse a single member, and members of different structure."""
-        _enough(len(self.models))
+        check_members(len(self.models))
         first, *others = (_make(model_of(m)) for m in self.models)
         if any(other != first for other in others):
             raise ValueError("members differ in their parts, scales or output; train them from one nominal model")
@@ -108,36 +99,6 @@ class Band(Shown):
     half_width: np.ndarray
     diverged: bool
     scored: np.ndarray
-
-
-def train_ensemble(nominal: Model | Fitted, records: Sequence[Record], *, members: int = 4, key, **options) -> Ensemble:
-    """Train `members` models with keys split from `key`, distributed over all JAX processes.
-
-    Args:
-        nominal, records: as for `train`, the same in every process.
-        members: models, at least 2.
-        key: JAX key.
-        **options: as for `train`.
-
-    Returns:
-        models, and the error not shown by their spread.
-
-    Raises:
-        ValueError: fewer than 2 members.
-
-    Examples:
-        >>> ensemble = pitp.train_ensemble(model, records, members=2, key=jax.random.key(0))  # doctest: +SKIP
-    """
-    _enough(members)
-    check_set(records)
-    records, _ = in_motion(records)
-    # every process splits in the same way, and takes its own
-    keys, processes = jax.random.split(key, members), jax.process_count()
-    mine = range(jax.process_index(), members, processes)
-    # same records for all; the initial nets and the order of minibatches differ
-    models = tuple(train(nominal, records, key=keys[k], **options).model for k in mine)
-    models = _gathered(models, members) if processes > 1 else models
-    return Ensemble.calibrated(models, records)
 
 
 def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float = 0.95) -> tuple[Band, ...]:
@@ -186,29 +147,10 @@ def predict_band(ensemble: Ensemble, records: Sequence[Record], *, level: float 
     return tuple(bands)
 
 
-def _enough(members: int) -> None:
+def check_members(members: int) -> None:
+    """Refuse fewer than two members, which have no spread."""
     if members < 2:
         raise ValueError(f"an ensemble needs at least 2 members, not {members}")
-
-
-def _gathered(own: Sequence[Fitted], members: int) -> tuple[Fitted, ...]:
-    """Gather the members that all JAX processes have trained, in order, with their origins."""
-    processes = jax.process_count()
-    with TemporaryDirectory() as folder:
-        path, packed = Path(folder) / "member.pitp", []
-        for model in own:
-            save(path, model)
-            packed.append(np.frombuffer(path.read_bytes(), np.uint8))
-        # every process contributes arrays of one shape: empty ones if it trained fewer
-        packed += [np.zeros(0, np.uint8)] * (-(-members // processes) - len(packed))
-        sizes = np.asarray(process_allgather(np.array([len(p) for p in packed])))
-        padded = np.stack([np.pad(p, (0, sizes.max() - len(p))) for p in packed])
-        files, models = np.asarray(process_allgather(padded)), []
-        for k in range(members):
-            slot = k % processes, k // processes
-            path.write_bytes(files[slot][: sizes[slot]].tobytes())
-            models.append(load(path, encoder=own_module(own[0].encoder) if own else None))
-    return tuple(models)
 
 
 def _stacked(models: Sequence[Model]) -> Model:
