@@ -171,12 +171,3 @@ def test_cutoff_is_capped():
 def test_stretches():
     assert stretches(np.array([True, True, False, True])) == [(0, 2), (3, 4)]
     assert stretches(np.zeros(3, bool)) == []
-
-
-@pytest.mark.parametrize(
-    "wrong", [{"order": -1}, {"cutoff_hz": 600.0}, {"difference": "spline"}, {"force": np.zeros(3)}]
-)
-def test_wrong_arguments(wrong):
-    arguments = {"order": 1, "cutoff_hz": 50.0, "force": np.zeros(200)} | wrong
-    with pytest.raises(ValueError, match=r"order|cut-off|difference|force"):
-        preprocess(record(np.sin(np.arange(200.0))), **arguments)

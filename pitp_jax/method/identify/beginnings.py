@@ -46,7 +46,7 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     chosen, small = _decimated(begun, input_map)
     first = _first_poles(small)
     if first is None:
-        return [_at_rest(r) for r in begun], None, 1.0
+        return [Beginning("rest", 1.0, *rest_level(r)) for r in begun], None, 1.0
     cost, poles = first
     clean = _only_noise(cost, small)
     decided: list[Beginning] = []
@@ -73,10 +73,6 @@ def _only_noise(cost: float, records: Sequence[Record]) -> bool:
     """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
     return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
-
-
-def _at_rest(record: Record) -> Beginning:
-    return Beginning("rest", 1.0, *rest_level(record))
 
 
 @dataclass(frozen=True)

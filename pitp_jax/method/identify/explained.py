@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..numerics.coloured_noise import project
 from ..signal.initial_state import noise_std
 from .heldout import Candidate
 from .output_error import Problem
@@ -60,8 +61,7 @@ def _fed_back(problem: Problem) -> bool:
         )
         outputs = np.column_stack([y[_LAGS - k : len(y) - k] for k in range(_LAGS + 1)])
         for columns, both in ((inputs, False), (np.column_stack([inputs, outputs]), True)):
-            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
-            rest = drive[_LAGS:] - columns @ np.linalg.lstsq(columns, drive[_LAGS:], rcond=1e-10)[0]
+            rest = project(drive[_LAGS:], columns)[1]
             alone, beside = alone + float(rest @ rest) * (not both), beside + float(rest @ rest) * both
     moved = sum(float(np.sum((drive - drive.mean()) ** 2)) for drive in problem.drive)
     return beside < _FED_BACK * alone and alone > _PREDICTED * moved

@@ -116,7 +116,8 @@ def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.nda
         if len(roots) != order or not np.isfinite(roots).all():
             continue
         logs = logs_from_roots(roots)
-        model = np.exp(-s * late * sample) / np.prod(1 - s[:, None] / _reflected(roots), 1)
+        stable = -np.abs(np.real(roots)) + 1j * np.imag(roots)
+        model = np.exp(-s * late * sample) / np.prod(1 - s[:, None] / stable, 1)
         gain = np.sum(weight**2 * np.real(model.conj() * value)) / np.sum(weight**2 * np.abs(model) ** 2)
         cost = float(np.sum(weight**2 * np.abs(gain * model - value) ** 2))
         if cost < best:
@@ -125,10 +126,6 @@ def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.nda
             chosen[2 * _PAIRS : 2 * _PAIRS + order % 2] = logs[2 * (order // 2) :]
             chosen[-1] = np.log(max(late * sample, 1e-6))
     return chosen
-
-
-def _reflected(roots: np.ndarray) -> np.ndarray:
-    return -np.abs(np.real(roots)) + 1j * np.imag(roots)
 
 
 def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:

@@ -14,12 +14,14 @@ is another:
     (2 p + e^a) dp = -e^a p da - e^b db       of a pole p of  s^2 + e^a s + e^b
 """
 
+from functools import reduce
 from math import factorial
 
 import numpy as np
 from jaxtyping import Complex, Float
 from scipy.signal import lfilter
 
+from ..model.sections import factored
 from ..numerics.intersample import between
 
 _FINER = 4
@@ -35,10 +37,7 @@ def _factors(logs: np.ndarray) -> list[np.ndarray]:
 
 
 def _product(factors) -> np.ndarray:
-    product = np.ones(1)
-    for factor in factors:
-        product = np.convolve(product, factor)
-    return product
+    return reduce(np.convolve, factors, np.ones(1))
 
 
 def polynomial(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n+1"]:
@@ -62,14 +61,8 @@ def logs_from_roots(roots: np.ndarray) -> np.ndarray:
     roots = np.asarray(roots, complex)
     size = np.maximum(np.abs(roots), 1e-4)
     roots = np.asarray(-np.maximum(np.abs(np.real(roots)), 1e-3 * size) + 1j * np.imag(roots))
-    real_root = np.abs(np.imag(roots)) <= 1e-9 * size
-    pairs = roots[~real_root & (np.imag(roots) > 0)]
-    real = sorted(-np.real(roots[real_root]))
-    logs = [v for r in pairs for v in (np.log(-2 * r.real), np.log(abs(r) ** 2))]
-    while len(real) > 1:
-        a, b = real.pop(0), real.pop(0)
-        logs += [np.log(a + b), np.log(a * b)]
-    return np.array(logs + [np.log(r) for r in real])
+    pairs, rest = factored(roots)
+    return np.log([*(v for q, p in pairs for v in (p, q)), *rest])
 
 
 def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
@@ -204,14 +197,16 @@ def respond_with_slopes(
 
 
 def bounded_response(
-    poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"], hold: str
+    poles: Complex[np.ndarray, " n"], force: Float[np.ndarray, " time"]
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "time n"]]:
     """Simulate stable and unstable poles (rad a sample) without divergence; return the response and the free responses.
+
+    The force is linear between samples.
 
     Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
     back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
     """
-    start, change = force[:-1], np.diff(force) * (hold != "zoh")
+    start, change = force[:-1], np.diff(force)
     response, free = np.zeros(len(force)), []
     for pole in poles[np.imag(poles) >= 0]:
         back = pole.real > 0

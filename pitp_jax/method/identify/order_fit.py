@@ -17,6 +17,7 @@ from jaxtyping import Float
 
 from ...common.shown import Shown
 from ..model.model import Hold
+from ..numerics.coloured_noise import project
 from .heldout import Candidate
 from .linear_ode import pole_slopes, polynomial, polynomial_slopes
 from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
@@ -162,8 +163,7 @@ def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Fl
         jacobian = slopes[k][order, : len(weight)].T
         residual, one = solved.residuals[k], b.direction * weight
         own = own_columns(params, structure, problem, k)[0] * weight[:, None]
-        if own.shape[1]:
-            one = one - own @ np.linalg.lstsq(own, one, rcond=1e-10)[0]
+        one = project(one, own)[1]
         hessian += jacobian.T @ jacobian
         # dp = H^-1 J'w dz: the change caused by an error of the offset measured at rest
         by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)

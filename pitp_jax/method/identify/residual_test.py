@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
-from scipy.fft import next_fast_len
+from scipy.signal import correlate
 from scipy.stats import norm
 
 from .output_error import Problem, Structure, poles_of, solve
@@ -65,7 +65,11 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
         force = drive**2 if problem.square else drive
         force = weight * (force - weight @ force / max(weight.sum(), 1.0))
         sums += np.stack(
-            [_correlated(a, b, long) for a, b in ((residual, residual), (force, residual), (force, force))]
+            # sum_t a_t b_{t+k} for k = -long ... long
+            [
+                correlate(b, a, method="fft")[len(a) - 1 - long : len(a) + long]
+                for a, b in ((residual, residual), (force, residual), (force, force))
+            ]
         )
         energy, moved = energy + float(residual @ residual), moved + float(force @ force)
     sums /= np.array([[energy], [np.sqrt(energy * moved)], [moved]]) + 1e-300
@@ -79,10 +83,3 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
         z / np.sqrt(problem.samples),
         z * np.sqrt(common / problem.samples),
     )
-
-
-def _correlated(a: np.ndarray, b: np.ndarray, far: int) -> Float[np.ndarray, " lags"]:
-    """Correlate two signals: return sum_t a_t b_{t+k} for k = -far ... far."""
-    size = next_fast_len(len(a) + far, real=True)  # padded: no lag wraps around
-    whole = np.fft.irfft(np.conj(np.fft.rfft(a, size)) * np.fft.rfft(b, size), size)
-    return np.concatenate([whole[-far:], whole[: far + 1]])

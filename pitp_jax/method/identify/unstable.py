@@ -63,7 +63,7 @@ def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
     parts = []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         force = drive**2 if problem.square else drive
-        run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean(), "foh")
+        run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean())
         rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
         parts.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
     return np.concatenate(parts) / np.sqrt(problem.samples)

@@ -19,8 +19,7 @@ _LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as
 
 def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
     """Return the origin with the frequencies and amplitudes that these recordings excite; one sampling interval."""
-    outputs = [np.interp(r.time, r.time[r.observed], r.displacement[r.observed]) for r in records]
-    inputs, dt = [r.voltage for r in records], records[0].dt
+    inputs, outputs, dt = [r.voltage for r in records], [r.filled for r in records], records[0].dt
     return replace(origin, excited_input=tabulate(inputs, dt), excited_output=tabulate(outputs, dt))
 
 

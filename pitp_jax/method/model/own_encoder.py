@@ -42,7 +42,8 @@ class OwnEncoder(AbstractEncoder):
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant, shape (n + 2,), in the precision of the features."""
-        options = {} if key is None or not _takes_key(self.module) else {"key": key}
+        takes_key = key is not None and "key" in inspect.signature(self.module).parameters
+        options = {"key": key} if takes_key else {}
         return (self.factor * self.module(features, **options)).astype(features.dtype)
 
     def scaled(self, factor):
@@ -52,10 +53,6 @@ class OwnEncoder(AbstractEncoder):
     def token_nets(self):
         """Mark all weights with 1: a module has no parallel polynomial, but may have as many weights as a net."""
         return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
-
-
-def _takes_key(module: Any) -> bool:
-    return "key" in inspect.signature(module).parameters
 
 
 def as_encoder(given: Any) -> Any:

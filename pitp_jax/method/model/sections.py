@@ -13,20 +13,23 @@ import numpy as np
 from .rows import Rows
 
 
+def factored(roots: np.ndarray) -> tuple[list[tuple[float, float]], list[float]]:
+    """Return the factors of a polynomial with these stable roots: (q, p) of every s^2 + p s + q, then r of an s + r."""
+    # rounding may give a real root a small imaginary part
+    is_real = np.abs(roots.imag) <= 1e-9 * np.abs(roots)
+    real = sorted((-roots[is_real].real).tolist())
+    pairs = [(abs(r) ** 2, -2 * r.real) for r in roots[~is_real & (roots.imag > 0)].tolist()]
+    pairs += [(a * b, a + b) for a, b in zip(real[::2], real[1::2], strict=False)]
+    return pairs, real[len(real) - len(real) % 2 :]
+
+
 def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
     """Factor the polynomial a_0 ... a_n into sections (q_0, p_0, q_1, p_1, ..., [r]), slowest pair first.
 
     The roots must be stable.
     """
-    roots = np.roots(np.asarray(coefficients, np.float64)[::-1])
-    # rounding may give a real root a small imaginary part
-    upper = sorted(roots[roots.imag > 1e-9 * np.abs(roots)], key=abs)
-    real = sorted(-roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real)
-    pairs = [(abs(r) ** 2, -2 * r.real) for r in upper]
-
-    pairs += [(real[k] * real[k + 1], real[k] + real[k + 1]) for k in range(0, len(real) - 1, 2)]
-    flat = [float(v) for pair in sorted(pairs) for v in pair]
-    return tuple(flat + ([float(real[-1])] if len(real) % 2 else []))
+    pairs, rest = factored(np.roots(np.asarray(coefficients, np.float64)[::-1]))
+    return (*(v for pair in sorted(pairs) for v in pair), *rest)
 
 
 def product(values: Rows | Sequence[float]) -> list:

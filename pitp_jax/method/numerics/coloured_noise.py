@@ -51,11 +51,10 @@ def project(
     return factors, values - columns @ factors
 
 
-def criterion(residual: Float[np.ndarray, " time"], parameters: int, floor: float = 0.0) -> float:
-    """Return the Bayesian information criterion (BIC) of a whitened residual, with noise of rms `floor` added."""
+def criterion(residual: Float[np.ndarray, " time"], parameters: int) -> float:
+    """Return the Bayesian information criterion (BIC) of a whitened residual."""
     size = len(residual)
-    # without the floor a noise-free record would reward any digit of rounding that a parameter removes
-    return float(size * np.log(max(residual @ residual + size * floor**2, 1e-300)) + parameters * np.log(size))
+    return float(size * np.log(max(residual @ residual, 1e-300)) + parameters * np.log(size))
 
 
 def block_means(values: np.ndarray, weight: Float[np.ndarray, " time"], size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -18,7 +18,8 @@ LATEST = 1e11  # s, 3170 years: later than any clock, including days since the y
 _ROUNDING = 1e-6  # of one sample: rounding must not refuse an offset of exactly 1 %
 
 
-def _sample(index: int) -> str:
+def sample(index: int) -> str:
+    """Describe a sample of a file without lines, for messages."""
     return f"sample {index}"
 
 
@@ -28,7 +29,7 @@ def check_samples(
     displacement: np.ndarray,
     source: str,
     columns: tuple[str, str, str] = ("time", "voltage", "displacement"),
-    place: Callable[[int], str] = _sample,
+    place: Callable[[int], str] = sample,
     *,
     uniform: bool = True,
     least: int = MIN_SAMPLES,
@@ -84,7 +85,7 @@ def check_wanted(
     wanted: np.ndarray,
     source: str,
     columns: tuple[str, str] = ("time", "displacement"),
-    place: Callable[[int], str] = _sample,
+    place: Callable[[int], str] = sample,
 ) -> None:
     """Refuse a target with gaps; arguments as for `check_samples`, for any number of samples.
 
@@ -126,7 +127,7 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
         )
 
 
-def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
+def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> None:
     """Refuse missing times, and times beyond the range of any clock."""
     missing = np.isnan(time)
     if missing.any():
@@ -143,7 +144,7 @@ def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[in
         )
 
 
-def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> None:
+def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> None:
     """Refuse times that are missing, do not increase, or leave the uniform grid by more than 1 % of a sample.
 
     Args:
@@ -162,7 +163,7 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
         refuse_time(time, source, column, place)
 
 
-def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = _sample) -> NoReturn:
+def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> NoReturn:
     """Refuse times off a uniform grid, with the first sample that is off; arguments as for `check_time`.
 
     Raises:

@@ -30,11 +30,7 @@ def central(values: np.ndarray, dt: float) -> np.ndarray:
     Returns:
         the derivative per second, shape (T,).
     """
-    slope = np.empty_like(values)
-    slope[1:-1] = (values[2:] - values[:-2]) / (2 * dt)
-    slope[0] = (values[1] - values[0]) / dt
-    slope[-1] = (values[-1] - values[-2]) / dt
-    return slope
+    return np.gradient(values, dt)
 
 
 def stencil(values: np.ndarray, dt: float) -> np.ndarray:
@@ -47,21 +43,10 @@ def stencil(values: np.ndarray, dt: float) -> np.ndarray:
     Returns:
         the derivative per second, shape (T,).
     """
-    count = len(values)
-    slope = np.zeros(count)
-    # where four neighbours lie on either side
-    inside = slice(4, count - 4)
-    for k, weight in enumerate(_STENCILS[3], start=1):
-        slope[inside] += weight * (values[4 + k : count - 4 + k] - values[4 - k : count - 4 - k])
-    # towards the ends shorter stencils, which are still central
-    for reach in (1, 2, 3):
-        for at in (reach, count - 1 - reach):
-            slope[at] = sum(
-                weight * (values[at + k] - values[at - k]) for k, weight in enumerate(_STENCILS[reach - 1], start=1)
-            )
-    # one-sided of second order, (-3 y_0 + 4 y_1 - y_2) / 2
-    slope[0] = -1.5 * values[0] + 2.0 * values[1] - 0.5 * values[2]
-    slope[-1] = 1.5 * values[-1] - 2.0 * values[-2] + 0.5 * values[-3]
+    slope = np.gradient(values, edge_order=2)
+    # the longer stencils where as many neighbours lie on either side
+    for reach, half in enumerate(_STENCILS, start=1):
+        slope[reach:-reach] = np.convolve(values, [*half[::-1], 0.0, *np.negative(half)], "valid")
     return slope / dt
 
 

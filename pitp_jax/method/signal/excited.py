@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal.windows import tukey
 
 Table = tuple[tuple[float, float, float], ...]
 
@@ -71,12 +72,6 @@ def _edge(number) -> float:
     return float(2.0 ** ((number - 0.5) / PER_OCTAVE))
 
 
-def _window(size: int, tapered: float) -> np.ndarray:
-    """Return a periodic Tukey window, tapered by cosines over the fraction `tapered`; 1 gives a Hann window."""
-    to_end = np.minimum(np.arange(size), size - np.arange(size)) / size
-    return 0.5 - 0.5 * np.cos(2 * np.pi * np.minimum(to_end / tapered, 0.5))
-
-
 def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
     """Yield the frequency bands of a signal by octaves; the first item also holds all slower bands."""
     signal = np.asarray(signal, np.float64) - np.mean(signal)
@@ -86,7 +81,7 @@ def _octaves(signal: np.ndarray, dt: float) -> Iterable[_Bands]:
         size = len(signal) if whole else min(round(PERIODS / 2.0**octave / dt), len(signal))
         starts = np.unique(np.append(np.arange(0, len(signal) - size, max(size // 2, 1)), len(signal) - size))
         # a slow part may lie at one end of a recording only, so the single window is flat over half of it
-        window = _window(size, _TAPER if whole else 1.0)
+        window = tukey(size, _TAPER if whole else 1.0, sym=False)
         pieces = np.lib.stride_tricks.sliding_window_view(signal, size)[starts] * window
         power = 2 * np.abs(np.fft.rfft(pieces)[:, 1:]) ** 2 / (size * np.sum(window**2))
         hz = np.arange(1, power.shape[1] + 1) / (size * dt)

@@ -83,11 +83,10 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     step = min(step, max(record.samples // _LEAST, 1))
     known = record.observed
     # the low-pass needs every sample
-    filled = np.interp(record.time, record.time[known], record.displacement[known])
     seen = np.ones(-(-record.samples // step), bool)
     # a kept sample is missing if any sample of its block is
     seen[np.flatnonzero(~known) // step] = False
-    displacement = np.where(seen, _thin(filled, step), np.nan)
+    displacement = np.where(seen, _thin(record.filled, step), np.nan)
     return LongRecord(record.dt, step, rest, _thin(record.voltage, step).astype("<f4"), displacement.astype("<f4"))
 
 

@@ -124,15 +124,10 @@ def preprocess(
 
     Returns:
         the states; `valid` is all False if no stretch of observed samples is longer than the filter's settling.
-
-    Raises:
-        ValueError: unknown difference, negative order, cut-off outside (0, f_s / 2), or arrays of another
-            length.
     """
     displacement = record.displacement if displacement is None else np.asarray(displacement, dtype=np.float64)
     force = np.asarray(force, dtype=np.float64)
     dt = record.dt
-    _check(record, order, cutoff_hz, force, displacement, difference)
     # second-order sections, because polynomials of a low cut-off lose all their digits
     sos = np.asarray(scipy.signal.butter(BUTTERWORTH_ORDER, 2.0 * cutoff_hz * dt, output="sos"))
     edge = edge_samples(cutoff_hz, dt, order)
@@ -167,18 +162,4 @@ def stretches(observed: np.ndarray) -> list[tuple[int, int]]:
     Args:
         observed: shape (T,).
     """
-    # +1 where a run starts, -1 one past its end
-    change = np.diff(np.concatenate([[False], observed, [False]]).astype(np.int8))
-    return list(zip(np.flatnonzero(change == 1).tolist(), np.flatnonzero(change == -1).tolist(), strict=True))
-
-
-def _check(record, order, cutoff_hz, force, displacement, difference):
-    if difference not in DIFFERENCES:
-        raise ValueError(f"difference {difference!r} is not one of {tuple(DIFFERENCES)}")
-    if order < 0:
-        raise ValueError(f"order {order} is negative")
-    if not 0 < cutoff_hz * record.dt < 0.5:
-        raise ValueError(f"cut-off {cutoff_hz} Hz is not between 0 and half the sampling rate {0.5 / record.dt} Hz")
-    for name, values in (("force", force), ("displacement", displacement)):
-        if values.shape != (record.samples,):
-            raise ValueError(f"{name} has shape {values.shape}, the record {(record.samples,)}")
+    return [(run.start, run.stop) for (run,) in scipy.ndimage.find_objects(scipy.ndimage.label(observed)[0])]

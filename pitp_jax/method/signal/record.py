@@ -112,6 +112,11 @@ class Record(Timed):
         return np.isfinite(self.displacement)
 
     @property
+    def filled(self) -> np.ndarray:
+        """Return the output with missing samples interpolated, base unit, shape (T,)."""
+        return np.interp(self.time, self.time[self.observed], self.displacement[self.observed])
+
+    @property
     def span(self) -> float:
         """Return the range of the output: largest minus smallest measured value, base unit."""
         return float(np.ptp(self.displacement[self.observed]))

@@ -65,8 +65,7 @@ def fastest_hz(
     Force without motion and motion without force are ignored, and so is a mode far above the motion.
     """
     dt = records[0].dt
-    motion = [np.interp(np.arange(r.samples), np.flatnonzero(r.observed), r.displacement[r.observed]) for r in records]
-    moved = force_band([m for m in motion if np.ptp(m) > 0], dt, share)
+    moved = force_band([m for m in (r.filled for r in records) if np.ptp(m) > 0], dt, share)
     return max(min(force_band(forces, dt, share), moved), *modes[modes < _BEYOND * moved], 1e-12)
 
 

@@ -188,7 +188,7 @@ def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: flo
         best = min(known, key=lambda r: r.error) if known else run
         return Beginning(run.kind, run.direction, best.zero, run.error, certainty=certainty, level=best.level)
     level, stderr = rest_level(part)
-    span = float(np.ptp(part.displacement[part.observed]))
+    span = part.span
     own = level - run.direction * float(_simulated(response, run.kind)[0])
     if run.kind == "rest":
         known = [r for r in known if abs(r.zero - own) < _NEAR * stderr + _SAME * span]
@@ -201,7 +201,7 @@ def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: flo
 
 def _settled_differs(part: Record, response: Response) -> bool:
     """Return whether the response settled at u(0) exists and differs from that from rest by more than the noise."""
-    least = max(noise_std(part.displacement), _FINEST * float(np.ptp(part.displacement[part.observed])))
+    least = max(noise_std(part.displacement), _FINEST * part.span)
     return bool(np.isfinite(response.held).all() and np.abs(response.held - response.rest).max() > least)
 
 
@@ -210,7 +210,7 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
     period = 2 * np.pi / (response.omega * part.dt)
     samples = int(max(_first_moved(part) + period + 1, _FEWEST))
     y, seen, omega = part.displacement[:samples], part.observed[:samples], response.omega
-    span = float(np.ptp(part.displacement[part.observed])) or 1.0
+    span = part.span or 1.0
     # a record may be shorter than a block of a slow mode
     size = int(max(min(2 * np.pi / omega / part.dt / _PER_PERIOD, len(y) / _FEWEST), len(y) / _BLOCKS, 1))
     time = part.dt * np.arange(len(y))

@@ -7,6 +7,7 @@ products with known weights and long loops stay loops.
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import jax
@@ -198,13 +199,8 @@ def _reduced(op: str):
         axes = tuple(params["axes"])
         kept = [k for k in range(args[0].ndim) if k not in axes]
         rows = args[0].transpose(*kept, *axes).reshape(*(args[0].shape[k] for k in kept), -1)
-        reduced = np.empty(rows.shape[:-1], object)
-        for place in np.ndindex(reduced.shape):
-            first, *others = rows[place]
-            for value in others:
-                first = make.make(op, first, value)
-            reduced[place] = first
-        return [reduced]
+        flat = rows.reshape(-1, rows.shape[-1])
+        return [_array([reduce(partial(make.make, op), row) for row in flat], rows.shape[:-1])]
 
     return reduce
 
