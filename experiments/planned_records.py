@@ -22,7 +22,7 @@ from _show import show
 
 import pitp_jax as pitp
 from pitp_jax.application.plan.expected_error import knowledge, motions
-from pitp_jax.application.plan.information import gains
+from pitp_jax.application.plan.next_recordings import variance
 
 BAND = {"cone": (0.5, 10.0), "roll": (5.0, 130.0)}
 SECONDS = {"cone": 60.0, "roll": 12.0}
@@ -64,7 +64,8 @@ def best_of(model, records, pool) -> pitp.Record:
     known, dt = knowledge(model.model, records), pool[0].dt
     information = motions(model.model, [r.voltage for r in pool], dt, floor=known.floor).information
     offered = [r.samples * dt * m for r, m in zip(pool, information, strict=True)]
-    return pool[int(np.argmin(gains(known.precision, offered, np.mean(information, axis=0))))]
+    predicted = np.mean(information, axis=0)
+    return pool[int(np.argmin([variance(known.precision + m, predicted) for m in offered]))]
 
 
 def session(plant: str, seeds, settings) -> None:

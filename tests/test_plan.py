@@ -17,8 +17,7 @@ from pitp_jax.application.commands.main import main
 from pitp_jax.application.commands.plan import _sorted
 from pitp_jax.application.pages.plan import page
 from pitp_jax.application.plan.expected_error import knowledge, motions
-from pitp_jax.application.plan.information import choose, variance
-from pitp_jax.application.plan.next_recordings import greedy
+from pitp_jax.application.plan.next_recordings import choose, greedy, variance
 from pitp_jax.method.fit.parameters import parameters, with_parameters
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.origin import Origin

@@ -68,7 +68,8 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.e_rms_percent(np.array([1.0, 2.0]), np.array([0.0, 2.0]))  # 100 sqrt(1/2) / 2
         35.35533905932738
     """
-    values = np.asarray(measured, dtype=np.float64)[_counted(predicted, measured, mask)]
+    counted = _counted(predicted, measured, mask)
+    values = np.asarray(measured, dtype=np.float64)[counted]
     return _percent(rmse(predicted, measured, mask), float(np.ptp(values)) if values.size else 0.0)
 
 
@@ -91,7 +92,8 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.nrmse_percent(np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0]))
         100.0
     """
-    values = np.asarray(measured, dtype=np.float64)[_counted(predicted, measured, mask)]
+    counted = _counted(predicted, measured, mask)
+    values = np.asarray(measured, dtype=np.float64)[counted]
     # the deviation of equal numbers may be a rounding error instead of 0, which must not become the divisor
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 

@@ -74,6 +74,12 @@ def _to_digits_of(error: float, *values: float) -> tuple[list[str], str]:
     return texts, f"·10{str(power).translate(_DIGITS)}" if power else ""
 
 
+def rounded_up(value: float) -> float:
+    """Round a positive number up to two digits."""
+    unit = 10.0 ** (_power(value) - 1)
+    return float(f"{math.ceil(value / unit * (1 - 1e-9)) * unit:.2g}")
+
+
 def shown_unit(unit: str) -> str:
     """Write a unit with typographic characters: µm for um, ² for ^2."""
     return unit.replace("um", "µm").replace("^2", "²").replace("^3", "³")

@@ -8,6 +8,7 @@ beyond a_0; then the modes are compared instead.
 """
 
 from ...files.model_file.model_file import digest
+from ...method.effects.words import coefficient_meaning
 from ...method.model.fitted import Fitted
 from ...method.model.units import base_units, units_of
 from ..pages.description import describe
@@ -19,18 +20,13 @@ _FACTS = {
     "hold": "hold of the input", "dt": "sampling interval (s)", "polarity": "direction of the sensor",
     "voltage_range": "input seen",
 }  # fmt: skip
-_MEANINGS = ("stiffness", "damping", "inertia")
-
-
-def coefficient_meaning(i: int) -> str:
-    """Return the name of coefficient a_i by its meaning: `stiffness (a0)`, `damping (a1)`, `inertia (a2)`, `a3`, ..."""
-    return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
     """Compare the responses, facts and parameters of two models."""
     # both in the units of the first, because one value in deg and one in rad would differ by 57
-    one, two = describe(a), describe(b, units_of(a) if _same_kinds(a, b) else None)
+    same_kinds = base_units(units_of(a)) == base_units(units_of(b))
+    one, two = describe(a), describe(b, units_of(a) if same_kinds else None)
     rows, why = compare_behaviour(a, b)
     rows += _adapted_rows(a, b)
     rows += [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
@@ -54,10 +50,6 @@ def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
                 interval = (low, high) if k else (-high, -low)
                 rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
     return rows
-
-
-def _same_kinds(a: Fitted, b: Fitted) -> bool:
-    return base_units(units_of(a)) == base_units(units_of(b))
 
 
 def _coefficients(one: dict, two: dict) -> list[Difference]:

@@ -262,5 +262,5 @@ def _moments(a: Record, b: Record, offset: float) -> tuple[float, float, float]:
     known = np.isfinite(y) & np.isfinite(z)
     if not known.any():
         return 0.0, 0.0, 0.0
-    y, z = y[known] - y[known].mean(), z[known] - z[known].mean()
-    return float(np.mean(y * y)), float(np.mean(z * z)), float(np.mean(y * z))
+    (first, both), (_, second) = np.cov(y[known], z[known], bias=True).tolist()
+    return first, second, both

@@ -14,6 +14,7 @@ from ...common.errors import BadInput, ComputationFailed
 from ...common.numbers import number
 from ...common.units import base_unit, from_base
 from ...method.identify.identification import Identification, identify
+from ...method.model.input_map import usual_input_map
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .models import compare_models
@@ -50,7 +51,8 @@ def linear_model_of(records: Sequence[Record]) -> Identification:
         BadInput, ComputationFailed: as `identify`.
     """
     identified, failed = [], None
-    for input_map in ("linear", "square") if _may_be_squared(records[0]) else ("linear",):
+    moved_by_voltage = usual_input_map(records[0].voltage_unit, records[0].displacement_unit) == "square"
+    for input_map in ("linear", "square") if moved_by_voltage else ("linear",):
         try:
             identified.append(identify(records, input_map=input_map, learn=("delay",)))
         except ComputationFailed as error:  # the other map may still succeed
@@ -58,11 +60,6 @@ def linear_model_of(records: Sequence[Record]) -> Identification:
     if not identified:
         raise failed or ComputationFailed("no linear model can be identified")
     return min(identified, key=lambda i: i.chosen.rms)
-
-
-def _may_be_squared(record: Record) -> bool:
-    """Return whether the square of the input may drive the motion: true for a voltage that moves something."""
-    return base_unit(record.displacement_unit) == "m" and record.voltage_unit.endswith("V")
 
 
 def _offset_lines(pairs: Sequence[Pair], names: tuple[str, str]) -> list[str]:
@@ -109,9 +106,8 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
 
 
 def _blocks(seen: np.ndarray) -> list[np.ndarray]:
-    edges = np.linspace(0, len(seen), _BLOCKS + 1).astype(int)
-    at = np.arange(len(seen))
-    return [(at >= first) & (at < last) for first, last in zip(edges, edges[1:], strict=False)]
+    number = np.arange(len(seen)) * _BLOCKS // len(seen)
+    return [number == k for k in range(_BLOCKS)]
 
 
 def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tuple[float, float] | None:

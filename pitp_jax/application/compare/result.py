@@ -7,16 +7,13 @@ a quantity differs if that interval excludes 0; None if a standard error is unkn
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ...common.numbers import number
 from ...common.page import Page, Section, Table
-from ...common.shown import data_frame
+from ...common.shown import Shown
 from ...common.units import from_base
 from .pairing import Pairing
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 _LINES = 9  # of differences in a repr, below its headline
 
@@ -50,7 +47,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(Shown):
     """All compared quantities of A and B, and which of them differ.
 
     Attributes:
@@ -109,9 +106,8 @@ class Comparison:
         """Write the first screen of the page as HTML, for notebooks."""
         return self.summary().first_screen()
 
-    def frame(self) -> "pd.DataFrame":
-        """Return a table with a row per quantity: what, a, b, unit, interval of the difference, whether it differs."""
-        return data_frame(self.as_json()["rows"])
+    def _rows(self) -> list[dict[str, Any]]:
+        return self.as_json()["rows"]
 
     def as_json(self) -> dict[str, Any]:
         """Return the JSON of `pitp compare --json` as a dict."""

@@ -142,7 +142,7 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Picture:
     unit, kinds = records[0].displacement_unit, [kind(r) for r in records]
     colors = dict(zip(dict.fromkeys(kinds), CYCLE * len(kinds), strict=False))
     for k, (record, name) in enumerate(zip(records, kinds, strict=True)):
-        place = loudest(record), float(from_base(np.ptp(record.displacement[record.observed]), unit))
+        place = loudest(record), float(from_base(record.span, unit))
         label = name if kinds.index(name) == k else f"_{name}"  # one entry in the legend
         ax.plot(*place, "o", ms=4, color=colors[name], label=label)
         ax.annotate(figure(errors[k], 2), place, (3, 3), textcoords="offset points", fontsize=7)

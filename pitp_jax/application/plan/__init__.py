@@ -4,8 +4,8 @@
     trained model + its records -> Fisher information of free runs -> inputs that lower the expected error most
 
 Verb: `plan`. `limits` holds the limits of every input, `drives` converts points to voltages, `first_session` orders
-them, `strokes` predicts the stroke of an input, `expected_error` and `information` estimate the information in
-recordings, and `page` explains the purpose of each.
+them, `strokes` predicts the stroke of an input, `expected_error` estimates the information in recordings, and
+`next_recordings` chooses them by it.
 """
 
 from . import excitation as excitation

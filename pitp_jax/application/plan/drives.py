@@ -103,9 +103,5 @@ def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.nd
             return np.clip(voltage, limits.low, limits.high)
         factor *= 0.9
     # even 0.2 % of the swing is too steep, because the ramps alone are
-    return np.clip(_gently(window * mean, most), limits.low, limits.high)
-
-
-def _gently(voltage: np.ndarray, most: float) -> np.ndarray:
-    """Scale a voltage down until no two neighbouring samples differ by more than `most` (V)."""
-    return voltage * min(1.0, most / np.abs(np.diff(voltage)).max())
+    ramps = window * mean
+    return np.clip(ramps * min(1.0, most / np.abs(np.diff(ramps)).max()), limits.low, limits.high)

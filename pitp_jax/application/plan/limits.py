@@ -9,6 +9,7 @@ import math
 from dataclasses import dataclass
 
 from ...common.errors import BadInput
+from ...common.numbers import rounded_up
 from ...common.quantity import Units
 
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
@@ -80,5 +81,4 @@ class Limits:
 
 def default_rate(high_hz: float) -> float:
     """Return the default sampling rate, Hz: 100 samples per period of the highest frequency, rounded up."""
-    digits = 10.0 ** math.floor(math.log10(_DEFAULT_RATE * high_hz) - 1)
-    return math.ceil(_DEFAULT_RATE * high_hz / digits - 1e-9) * digits
+    return rounded_up(_DEFAULT_RATE * high_hz)

@@ -1,16 +1,19 @@
 """Choose the next recordings for a trained model, among candidate inputs.
 
-    chosen one after another, each the one that lowers v most, until the improvement is too small to see:
-    1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
+    Lambda = sum_r M_r,   M_r = J_r' J_r,        J: derivatives of a free run by the parameters, in units of its error
+    v(c)   = tr[(Lambda + M_c)^-1 G],            G: mean of J_t' J_t over the inputs to be predicted
+    next   = argmin_c v(c), then Lambda <- Lambda + M_next                     (greedy, Laplace, V-optimal)
+    until the improvement is too small to see:   1 - sqrt((v_after + e^2) / (v_before + e^2)) < 1 %
 
-v: mean variance of the predictions (`information`), e: residual of the model on its own records, with noise; both in %
-of a recording's range. Refinement of a fit stops at the same fraction.
+v: mean variance of the predictions; the prior enters Lambda as one more recording. e: residual of the model on its own
+records, with noise; both in % of a recording's range. Refinement of a fit stops at the same fraction.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 
 from ...common.errors import BadInput
 from ...method.model.model import Model
@@ -18,12 +21,12 @@ from ...method.signal.record import Record
 from .drives import Planned, space_filling
 from .expected_error import Knowledge, Motions, knowledge, motions
 from .first_session import FEWEST, POINTS, default_duration, drive
-from .information import choose
 from .limits import Limits
 from .strokes import strokes
 
 _CANDIDATES, _PREDICTED = 48, 16  # candidate inputs, and inputs to be predicted
 _SEEN = 0.01
+_JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix barely singular
 
 
 @dataclass(frozen=True)
@@ -82,14 +85,12 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     )
     places, expected, worth = greedy(known, offered, predicted, np.full(len(tried), one), count)
     chosen = [
-        replace(tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: {_lowered(expected, j)}")
-        for j, k in enumerate(places)
+        replace(
+            tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: lowers the expected error from {a:.3g} to {b:.3g} %"
+        )
+        for k, a, b in zip(places, expected, expected[1:], strict=True)
     ]
     return Next(tuple(chosen), expected, worth, notes)
-
-
-def _lowered(expected: Sequence[float], j: int) -> str:
-    return f"lowers the expected error from {expected[j]:.3g} to {expected[j + 1]:.3g} %"
 
 
 def greedy(
@@ -104,3 +105,37 @@ def greedy(
     seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
     worth = len(taken) if seen.all() else int(np.argmin(seen))
     return taken, tuple(map(float, np.sqrt(v))), worth
+
+
+def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
+    """Return the mean variance of predictions, tr(Lambda^-1 G), for precision Lambda and predictions G, both (P, P)."""
+    size = len(precision)
+    return float(
+        np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), predicted))
+    )
+
+
+def choose(
+    precision: np.ndarray, candidates: Sequence[np.ndarray], predicted: np.ndarray, count: int
+) -> tuple[list[int], list[float]]:
+    """Choose `count` candidates one by one, each the one that lowers the mean variance of predictions most.
+
+    Args:
+        precision: Lambda before, shape (P, P).
+        candidates: M_c, shape (P, P) each.
+        predicted: G, shape (P, P).
+        count: number of recordings, at most all.
+
+    Returns:
+        their places, and the mean variance before the first and after each of them.
+    """
+    # One at a time: subsets of 48 would be too many, and two candidates with the same information are not both chosen.
+    taken, variances = [], [variance(precision, predicted)]
+    while len(taken) < min(count, len(candidates)):
+        remaining = [k for k in range(len(candidates)) if k not in taken]
+        after = [variance(precision + candidates[k], predicted) for k in remaining]
+        best = int(np.argmin(after))
+        taken.append(remaining[best])
+        variances.append(after[best])
+        precision = precision + candidates[remaining[best]]
+    return taken, variances

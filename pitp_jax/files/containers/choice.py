@@ -137,7 +137,7 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
-    elif len(ports) == 2 and all(_port_only(s) for s in ports) and not _stated_ports(options):
+    elif len(ports) == 2 and all(_port_only(s) for s in ports) and not (options.input_column or options.output_column):
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
@@ -180,10 +180,6 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
 def _port_only(seen: _Seen) -> bool:
     """Return whether a voltage is named only input or output, which may mean a port of the DAQ or of the actuator."""
     return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
-
-
-def _stated_ports(options: ReadOptions) -> bool:
-    return options.input_column is not None or options.output_column is not None
 
 
 def _seen(place: int, column: Column) -> _Seen:
@@ -439,8 +435,8 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
         free = [s for s in seen if s in free or s is drive]
     asked = any(q in problems and len(pools[q]) != 1 for q in ports)
     # of two recordings in one file (`t u y`, `t_ u_ y_`) the columns of one length belong together
-    clock = [c.place for q, c in chosen.items() if q == "time" and c.place is not None] or [*taken - _places(chosen)]
-    rows = len(_values(table, clock[0])) if clock else 0
+    clock = next((c.place for q, c in chosen.items() if q == "time" and c.place is not None), None)
+    rows = 0 if clock is None else len(_values(table, clock))
     monitors = False  # an amplifier has two: if the input is one, the output is one too
     for quantity in ports:
         port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken, rows)
@@ -457,28 +453,20 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     return [w for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for w in group]
 
 
-def _places(chosen: dict[str, Choice]) -> set:
-    return {choice.place for choice in chosen.values()}
-
-
 def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, rows: int) -> _Seen | None:
     """Return the chosen column of a quantity, otherwise the first free one by its role: a command before a current."""
     if choice is not None:
         return next(s for s in seen if s.place == choice.place)
     role, wrong = ("input", "output") if quantity == "voltage" else ("output", "input")
-
     if not pool:
         pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & _COUNTERS]
     free = [s for s in pool if s.place not in taken]
     free.sort(key=lambda s: (s.role == wrong, not (role == "input" and s.header.commanded), s.role != role))
-    values = {s.place: _values(table, s.place) for s in free[:_MOST_LOADED]}
-
-    def unlikely(s: _Seen) -> tuple[bool, ...]:
-        size, moves = values[s.place].size, values[s.place].size > 0 and bool(np.ptp(values[s.place]) > 0)
-        return not size, 0 < rows != size, s.role == wrong, not moves
-
-    first = min(free[:_MOST_LOADED], key=unlikely, default=None)
-    return first if first is not None and values[first.place].size else None
+    for s in free[:_MOST_LOADED]:
+        values = _values(table, s.place)
+        if rows in (0, len(values)) and values.size and np.ptp(values) > 0:
+            return s
+    return next(iter(free), None)
 
 
 def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, monitors: bool) -> list[str]:

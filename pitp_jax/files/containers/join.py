@@ -14,12 +14,13 @@ import numpy as np
 
 from ...common.errors import BadInput, cleaned
 from ...common.units import column_names, to_base
+from ...method.signal.checks import sample
 from .choice import choose_columns
 from .formats import open_parts, split_suffix
 from .formats.text import single_column
 from .header import NoTable
 from .options import ReadOptions
-from .table import Column, Parts, Table, sample
+from .table import Column, Parts, Table
 
 
 def joined_parts(path: Path, options: ReadOptions) -> Parts:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import cleaned
+from ...method.signal.checks import sample
 from .guard import as_column, check_columns, guarded
 
 _WIDEST = 63  # lines of a matrix that may be columns; a record has more samples
@@ -69,11 +70,6 @@ class Table:
 
 
 Parts = list[list[Table]]  # of a file: every part, and every table that it may be
-
-
-def sample(index: int) -> str:
-    """Describe a sample of a file without lines, for messages."""
-    return f"sample {index}"
 
 
 def array_table(

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.metrics import e_rms_percent
 from ...common.numbers import number
 from ...method.model.lineage import sums
 from ...method.signal.record import Record
@@ -74,7 +75,7 @@ class Verification:
         for p in judged:
             if p.before is None:
                 return None
-            scale = float(np.nanmax(p.record.displacement) - np.nanmin(p.record.displacement))
+            scale = p.record.span
             gain = (p.before - p.record.displacement) ** 2 - (p.after - p.record.displacement) ** 2
             gains += [
                 float(np.nanmean(block)) / scale**2
@@ -114,15 +115,9 @@ class Verification:
 
 
 def _gap(played: Sequence[Played], after: bool) -> float:
-    squares = []
-    for p in played:
-        run = p.after if after else p.before
-        y = p.record.displacement
-        seen = np.isfinite(y)
-        if run is None or not np.all(np.isfinite(run[seen])):
-            return float("inf")
-        squares.append(np.mean((run[seen] - y[seen]) ** 2) / np.ptp(y[seen]) ** 2)
-    return 100 * float(np.sqrt(np.mean(squares)))
+    runs = [(p.after if after else p.before, p.record.displacement) for p in played]
+    errors = [np.inf if run is None else e_rms_percent(run, y) for run, y in runs]
+    return float(np.sqrt(np.mean(np.square(errors))))
 
 
 def verify_mjcf(

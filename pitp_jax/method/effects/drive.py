@@ -34,14 +34,6 @@ _AT_ONCE = 0.05  # of the integral of the input
 _SLEW = Parameter("inverse", "s/V", off=0.0, linear=False)
 
 
-def _slewed(p, u, z):
-    return jnp.where(p.inverse > 0, z[0], u)
-
-
-def _slow_enough(p, v, dt):
-    return jnp.abs(slope(v, dt)) * p.inverse <= 1.0
-
-
 def _led_force(p, v, dt):
     """Compute the input V^2 of a lag whose output is v^2, with the time constant tau."""
     return lead(v**2, dt, p.tau)
@@ -86,8 +78,9 @@ DRIVE = (
     ),
     EffectSpec(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",
-        "V follows u with |V'| <= s, inverse = 1 / s", "drive", "IN", kernel=slew(), law=_slewed,
-        inverse=lambda p, v, dt: v, passes=_slow_enough,
+        "V follows u with |V'| <= s, inverse = 1 / s", "drive", "IN", kernel=slew(),
+        law=lambda p, u, z: jnp.where(p.inverse > 0, z[0], u), inverse=lambda p, v, dt: v,
+        passes=lambda p, v, dt: jnp.abs(slope(v, dt)) * p.inverse <= 1.0,
     ),
     EffectSpec(
         "voltage_clip", "hard", (Parameter("inverse", "1/V", off=0.0, linear=False),),

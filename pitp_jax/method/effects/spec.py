@@ -8,7 +8,7 @@ stiffness in units of the nominal's; voltages in V, times in s. `Parameter` defi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -53,7 +53,7 @@ class Parameter:
     fixed: bool = False
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EffectSpec:
     """One form of an effect, as data; two entries are equal if name, form and parameters are equal.
 
@@ -92,29 +92,39 @@ class EffectSpec:
     name: str
     form: str
     parameters: tuple[Parameter, ...]
-    title: str = field(compare=False)
-    equation: str = field(compare=False)
-    family: str = field(compare=False)
-    port: str = field(compare=False)
-    law: Callable[..., Any] = field(compare=False)
-    kernel: Kernel = field(default=NOTHING, compare=False)
-    mass: Callable[..., Any] | None = field(default=None, compare=False)
-    crosses: Callable[..., Any] | None = field(default=None, compare=False)
-    inverse: Callable[..., Any] | None = field(default=None, compare=False)
-    solvable: Callable[..., Any] | None = field(default=None, compare=False)
-    passes: Callable[..., Any] | None = field(default=None, compare=False)
-    driven: bool = field(default=False, compare=False)
-    resolved: bool = field(default=False, compare=False)
-    only_given: bool = field(default=False, compare=False)
-    linear: bool = field(default=False, compare=False)
-    stiffens: bool = field(default=False, compare=False)
-    moves: str = field(default="", compare=False)
-    twin: str = field(default="", compare=False)
-    commutes: bool = field(default=False, compare=False)
-    second: tuple[str, str] | None = field(default=None, compare=False)
-    reported: Callable[..., Any] | None = field(default=None, compare=False)
-    needs_mass: bool = field(default=False, compare=False)
-    squares: bool = field(default=False, compare=False)
+    title: str
+    equation: str
+    family: str
+    port: str
+    law: Callable[..., Any]
+    kernel: Kernel = NOTHING
+    mass: Callable[..., Any] | None = None
+    crosses: Callable[..., Any] | None = None
+    inverse: Callable[..., Any] | None = None
+    solvable: Callable[..., Any] | None = None
+    passes: Callable[..., Any] | None = None
+    driven: bool = False
+    resolved: bool = False
+    only_given: bool = False
+    linear: bool = False
+    stiffens: bool = False
+    moves: str = ""
+    twin: str = ""
+    commutes: bool = False
+    second: tuple[str, str] | None = None
+    reported: Callable[..., Any] | None = None
+    needs_mass: bool = False
+    squares: bool = False
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, EffectSpec) and self._row == other._row
+
+    def __hash__(self) -> int:
+        return hash(self._row)
+
+    @property
+    def _row(self) -> tuple:
+        return self.name, self.form, self.parameters
 
     @property
     def key(self) -> str:

@@ -49,9 +49,9 @@ def _saturating(p, now):
     return _LOST * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
 
 
-def _weight(p, now):
+def _gravity(p, now):
     r = p.curvature * now.x
-    return p.kappa * now.k * now.x * _ratio(r, jnp.sin, -(r**2) / 6) + p.kappa * now.k * now.x
+    return now.k * now.x * _ratio(r, jnp.sin, -(r**2) / 6)
 
 
 def _exponential(p, now):
@@ -129,14 +129,14 @@ SPRINGS = (
     EffectSpec(
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, whose torque grows less than the angle.",
         "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
-        law=lambda p, now: now.k * now.x * _ratio(p.curvature * now.x, jnp.sin, -((p.curvature * now.x) ** 2) / 6),
+        law=_gravity,
     ),
     EffectSpec(
         "softening", "weight on an arm",
         (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
         "A weight on an arm acts in addition to the spring; its torque grows less than the angle.",
         "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True,
-        law=_weight,
+        law=lambda p, now: p.kappa * (_gravity(p, now) + now.k * now.x),
     ),
     EffectSpec(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",

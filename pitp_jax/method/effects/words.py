@@ -20,8 +20,13 @@ PLAIN = {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed, so that a name's first form defines it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here
-_COEFFICIENTS = ("stiffness", "damping", "inertia")
+_MEANINGS = ("stiffness", "damping", "inertia")
 _FACTOR = " over given"  # of a parameter of the nominal that was refitted
+
+
+def coefficient_meaning(i: int) -> str:
+    """Return the name of coefficient a_i by its meaning: `stiffness (a0)`, `damping (a1)`, `inertia (a2)`, `a3`, ..."""
+    return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
 
 
 def plain_words(name: str, units: Units) -> str:
@@ -61,7 +66,7 @@ def _in_handy_units(name: str, unit: str, values: Sequence[float], length_unit: 
     """Return label, displayed unit and values of one parameter in a unit that is easy to read."""
     if name.endswith(_FACTOR):
         stem = name.removesuffix(_FACTOR)
-        label = f"{_COEFFICIENTS[int(stem[2:])]} ({stem.replace('_', '')})" if stem in ("a_0", "a_1", "a_2") else stem
+        label = coefficient_meaning(int(stem[2:])) if stem in ("a_0", "a_1", "a_2") else stem
         return label, "", tuple(values)
     if name == "omega":  # of a mode: independent of an angle's unit
         return "frequency", "Hz", tuple(v / (2 * np.pi) for v in values)

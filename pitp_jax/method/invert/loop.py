@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
+from ...common.errors import BadInput
 from ..model.programs import full_precision
 
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
@@ -43,7 +44,7 @@ class Plant:
 
 def linearised(
     step: Callable, points: Sequence[tuple[Any, float, float]], dt: float, natural: float, late: float = 0.0
-) -> list[Plant | None]:
+) -> list[Plant]:
     """Linearise a plant about several states; return its frequency response about each.
 
     Args:
@@ -54,7 +55,10 @@ def linearised(
         late: a further delay, s.
 
     Returns:
-        a plant for each point; None where its derivatives are not finite.
+        a plant for each point.
+
+    Raises:
+        BadInput: it has no finite derivatives at a point.
     """
     kind, unravel = jnp.result_type(float), ravel_pytree(points[0][0])[1]
 
@@ -67,8 +71,9 @@ def linearised(
     slopes = jax.jit(full_precision(jax.vmap(jax.jacfwd(run, (0, 1)))))(states, values)
     plants = []
     for by_state, by_value, (_, _, gain) in zip(*map(np.asarray, slopes), points, strict=True):
-        finite = np.isfinite(by_state).all() and np.isfinite(by_value).all()
-        plants.append(responding(by_state, gain * by_value, dt, natural, late) if finite else None)
+        if not (np.isfinite(by_state).all() and np.isfinite(by_value).all()):
+            raise BadInput("no stability margin: the plant has no finite derivatives at an operating point")
+        plants.append(responding(by_state, gain * by_value, dt, natural, late))
     return plants
 
 

@@ -22,7 +22,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...common.quantity import Units
-from ..effects.effect import Effect
 from ..effects.kernels import shifted
 from ..model.coordinate import from_model, to_model
 from ..model.model import Model
@@ -67,7 +66,8 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
 
     def start(y, u):
         x = to_model(model, y) / scale
-        lines = [jnp.full(samples_of(e, dt), u) for e in delays]
+        # the past voltages that a delay needs
+        lines = [jnp.full(int(np.floor(float(e.time) / dt)) + 2, u) for e in delays]
         return still_state(model, x, u, 0.0), jnp.full(len(taps), u), u, lines
 
     def run(carry, values):
@@ -101,11 +101,6 @@ def in_units(step: Step, units: Units, *, inverse: bool) -> Step:
         return carry, (first / out_of, *more)
 
     return replace(step, start=lambda y, u: step.start(y * motion, u * drive), run=run)
-
-
-def samples_of(effect: Effect, dt: float) -> int:
-    """Return the number of past voltages that a delay must store."""
-    return int(np.floor(float(effect.time) / dt)) + 2
 
 
 def inverse(model: Model, dt: float) -> Step:

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from ....common.errors import cleaned
+from ....method.signal.checks import sample
 from ..guard import check_columns, check_unfolded
 from ..options import ReadOptions
-from ..table import Column, Parts, Table, sample
+from ..table import Column, Parts, Table
 
 kind, remedy = "a robot log", "record it again"
 suffixes = (".mcap",)
