@@ -14,12 +14,12 @@ import pitp_jax
 
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
-    "common": 6200, "method/numerics": 10100, "method/signal": 13700, "method/model": 12900, "method/effects": 12100,
-    "method/simulate": 18500, "method/fit": 9000, "method/identify": 25400, "method/train": 16200,
-    "method/invert": 19300, "method/diagnose": 52800, "method/adapt": 5500, "files/containers": 34400,
-    "files/recordings": 13300, "files/model_file": 5600, "files/export": 13800, "files/mjcf": 9300,
-    "application/commands": 20700, "application/pages": 12800, "application/compare": 10600, "application/plan": 10000,
-    "application/check": 8200, "application/against": 3600, "application/demo": 4400, "application/plant": 2600,
+    "common": 6000, "method/numerics": 9900, "method/signal": 13000, "method/model": 12500, "method/effects": 11600,
+    "method/simulate": 18500, "method/fit": 9000, "method/identify": 23900, "method/train": 15800,
+    "method/invert": 19200, "method/diagnose": 52800, "method/adapt": 5500, "files/containers": 33300,
+    "files/recordings": 13300, "files/model_file": 5900, "files/export": 11600, "files/mjcf": 9000,
+    "application/commands": 20700, "application/pages": 12400, "application/compare": 10200, "application/plan": 9800,
+    "application/check": 8200, "application/against": 3600, "application/demo": 4300, "application/plant": 2500,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
 

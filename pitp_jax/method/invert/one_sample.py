@@ -19,11 +19,6 @@ def memory_after(memory: AbstractMemory, state: Array, before: Array, now: Array
     return memory.trajectory(jnp.stack([before, now]), dt, state)[1]
 
 
-def film_after(drive: AbstractDrive, film: Array, before: Array, now: Array, dt: float) -> Array:
-    """Return the film voltage one sample later, for a voltage u linear from `before` to `now`."""
-    return lag_after(film, before, now, jnp.exp(drive.log_tau), dt) if isinstance(drive, ElectrodeLag) else now
-
-
 def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: np.ndarray) -> tuple[Array, Array]:
     """Return the film voltages at the stages and at the end of one sample with a constant voltage u."""
     if not isinstance(drive, ElectrodeLag):

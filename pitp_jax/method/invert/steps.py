@@ -31,7 +31,7 @@ from ..simulate import ports
 from ..simulate.decoder import stage_fractions, step, still_state
 from ..simulate.prediction import at_rate
 from .equation import HUGE, tolerance
-from .one_sample import film_after, film_held, memory_after
+from .one_sample import film_held, memory_after
 
 _BESIDE = 8  # samples of the parabola on either side: four slopes, each of which uses two samples on either side
 
@@ -81,7 +81,7 @@ def predict(model: Model, dt: float, *, held: bool = False) -> Step:
             volts, after = film_held(model.drive, films[-1], u, dt, stages)
             films = jnp.append(films[1:], after)
         else:
-            films = jnp.append(films[1:], film_after(model.drive, films[-1], before, u, dt))
+            films = jnp.append(films[1:], model.drive.after(films[-1], before, u, dt))
             volts = films @ jnp.asarray(taps)
         state = step(model, state, volts, dt)
         return (state, films, u, moved), (from_model(model, ports.reading(model, state) * scale),)
