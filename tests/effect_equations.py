@@ -355,3 +355,7 @@ EQUATIONS = {
         rates=lambda x, v, u, s, p: (s[1], (x - s[0] - 2 * p.zeta * p.tau * s[1]) / p.tau**2),
     ),
 }  # fmt: skip
+# the same laws under the name of dry friction
+EQUATIONS |= {
+    f"coulomb_friction: {form}": EQUATIONS[f"hysteresis: {form}"] for form in ("plays", "Bouc-Wen, either sign")
+}

@@ -32,6 +32,8 @@ NUMBERS = {
     "coulomb_friction: Stribeck": (0.07994, 0.3, 0.02988),
     "coulomb_friction: bristles": (0.07994, 0.009992),
     "coulomb_friction: bristles under load": (0.15, 0.05, 0.04),
+    "coulomb_friction: plays": (4.0, 0.016),
+    "coulomb_friction: Bouc-Wen, either sign": (3.0, 0.03, 0.5),
     "force_limit: inside the loop": (2.0,),
     "slack: free fall": (0.6974,),
     "electrode_rc: one lag": (0.003183,),

@@ -45,7 +45,7 @@ class Part:
     Attributes:
         effect, form: as in the catalogue; "parameter_change" for the nominal's coefficients.
         parameters: name to value, unit and 95 % interval (upper end None: only a lower bound; None: not determined).
-        fraction: of the error energy removed by the model.
+        fraction: of the error removed by the model, in the order in which its parts were added.
         probability: P that the best hypothesis without it has a larger error; None if not computed.
         certainty: "certain", "tied", "likely" or "none".
         tied: effects that these recordings do not separate from it.

@@ -10,13 +10,14 @@ from .dissipation import DRAG, FRICTION
 from .drive import DRIVE
 from .effect import Effect
 from .inertia import FORCE_LIMIT, MASSES, SLACK
-from .memory import BRANCHES, DRIFT, LOOPS
+from .memory import BRANCHES, DRIFT, LOOPS, STICKING
 from .sensor import SENSOR
 from .spec import EffectSpec
 from .stiffness import SPRINGS
 
 CATALOGUE: tuple[EffectSpec, ...] = (
-    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *DRAG, *FRICTION, *FORCE_LIMIT, *SLACK, *DRIVE, *COUPLING, *SENSOR,
+    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *DRAG, *FRICTION, *STICKING, *FORCE_LIMIT, *SLACK, *DRIVE, *COUPLING,
+    *SENSOR,
 )  # fmt: skip
 
 

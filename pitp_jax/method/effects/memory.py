@@ -8,7 +8,8 @@ hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x               
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
-A hysteresis loop has the same area at every speed.
+A hysteresis loop has the same area at every speed. One that yields by less than a twentieth of the stroke before it
+slides is dry friction.
 """
 
 import jax.numpy as jnp
@@ -29,10 +30,23 @@ def _by_time(p, k, plant):
 
 
 def _by_give(p, k, plant):
-    """Name a hysteresis loop dry friction with bristles if it yields little before it slides."""
+    """Name Dahl's loop dry friction with bristles if it yields little before it slides."""
     if p.width < _GIVE:
         return "coulomb_friction", "bristles", (k * p.kappa * p.width, p.width)
     return "hysteresis", "Dahl", (p.kappa, p.width)
+
+
+def _loop(form: str, parameters: tuple, about: str, equation: str, **how) -> tuple[EffectSpec, EffectSpec]:
+    """Return a loop as a hysteresis, and as the dry friction that it is if it yields little before it slides."""
+
+    def named(p, k, plant):
+        return "coulomb_friction" if p.width < _GIVE else "hysteresis", form, tuple(vars(p).values())
+
+    loop, friction = (
+        EffectSpec(name, form, parameters, about, equation, "dissipation", "K", reported=named, **how)
+        for name in ("hysteresis", "coulomb_friction")
+    )
+    return loop, friction
 
 
 def _branch(name: str, title: str, **how) -> EffectSpec:
@@ -46,30 +60,26 @@ BRANCHES = (
     _branch("creep", "The actuator keeps yielding slowly under a held load.", second=("relaxation", "one branch")),
     _branch("relaxation", "Part of the spring gives way within a few periods, which also damps."),
 )
-LOOPS = (
-    EffectSpec(
-        "hysteresis", "plays", _WIDTH, "Internal friction of the material makes a loop that is the same at every "
-        "frequency.",
-        "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width", "dissipation", "K",
-        # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
-        kernel=play(0.15, 0.4, 1.0, 2.2),
-        law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
-    ),
-    EffectSpec(
-        "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each reversal and then stays "
-        "constant.",
-        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
-        stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
-    ),
-    EffectSpec(
-        # beyond its bounds gamma makes a spring of any shape
-        "hysteresis", "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
-        "A loop that gets softer with distance, or harder with gamma below -1.",
-        "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)", "dissipation", "K",
-        kernel=bouc_wen(), stiffens=True,
-        law=lambda p, now: now.k * p.kappa * now.z[0],
-    ),
+PLAYS = _loop(
+    "plays", _WIDTH, "Internal friction of the material makes a loop that is the same at every frequency.",
+    "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width",
+    # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
+    kernel=play(0.15, 0.4, 1.0, 2.2), law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
 )  # fmt: skip
+DAHL = EffectSpec(
+    "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each reversal and then stays constant.",
+    "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
+    stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
+)  # fmt: skip
+BOUC_WEN = _loop(
+    # beyond its bounds gamma makes a spring of any shape
+    "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
+    "A loop that gets softer with distance, or harder with gamma below -1.",
+    "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)",
+    kernel=bouc_wen(), stiffens=True, law=lambda p, now: now.k * p.kappa * now.z[0],
+)  # fmt: skip
+LOOPS = PLAYS[0], DAHL, BOUC_WEN[0]
+STICKING = PLAYS[1], BOUC_WEN[1]
 
 
 DRIFT = (
