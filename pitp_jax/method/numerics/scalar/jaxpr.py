@@ -7,7 +7,7 @@ products with known weights and long loops stay loops.
 """
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import partial, reduce
 from typing import Any
 
 import jax
@@ -195,14 +195,14 @@ def _branches(make, params, args, equation):
 
 
 def _reduced(op: str):
-    def reduce(make, params, args, equation):
+    def reduced(make, params, args, equation):
         axes = tuple(params["axes"])
         kept = [k for k in range(args[0].ndim) if k not in axes]
         rows = args[0].transpose(*kept, *axes).reshape(*(args[0].shape[k] for k in kept), -1)
         flat = rows.reshape(-1, rows.shape[-1])
         return [_array([reduce(partial(make.make, op), row) for row in flat], rows.shape[:-1])]
 
-    return reduce
+    return reduced
 
 
 def _product(make, params, args, equation):
