@@ -7,7 +7,7 @@ stroke, so its responses are compared instead (`behaviour`). Coefficients of dif
 beyond a_0; then the modes are compared instead.
 """
 
-from ...files.model_file.model_file import digest
+from ...files.model_file.model_file import digest, lineage_of
 from ...method.effects.words import coefficient_meaning
 from ...method.model.fitted import Fitted
 from ...method.model.units import base_units, units_of
@@ -100,7 +100,7 @@ def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
     sums: list[dict[str, str]] = [
         {r["sha256"]: r["name"] for e in m.origin.lineage for r in e.get("records", [])} for m in (a, b)
     ]
-    parents = [{e.get("parent") for e in m.origin.lineage} for m in (a, b)]
+    parents = [{e.get("parent") for e in lineage_of(m)} for m in (a, b)]
     digests = [digest(m) for m in (a, b)]
     if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]

@@ -62,6 +62,18 @@ def digest(model: Model | Fitted) -> str:
     return _sum(_body(fitted_of(model))).decode()
 
 
+def lineage_of(fitted: Fitted) -> list[dict]:
+    """Return the lineage of a model as its file holds it: every parent by its digest."""
+    return [{k: _known(v) if k == "parent" else v for k, v in entry.items()} for entry in fitted.origin.lineage]
+
+
+def _known(parent: Fitted | str | None) -> str | None:
+    try:
+        return digest(parent) if isinstance(parent, Fitted) else parent
+    except BadInput:  # a user's own part, which no file can hold
+        return None
+
+
 def _sum(body: bytes) -> bytes:
     return hashlib.sha256(body).hexdigest().encode()
 
@@ -69,6 +81,7 @@ def _sum(body: bytes) -> bytes:
 def _body(fitted: Fitted) -> bytes:
     """Return the bytes of a model file after the digest: header and arrays."""
     header, model = describe(fitted), _stored(fitted.model)
+    header["origin"]["lineage"] = lineage_of(fitted)
     # as `load` will build it, so that a model that could not be read back is refused here
     skeleton = _stored(_skeleton(header, own_module(fitted.model.encoder)))
     arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]

@@ -2,8 +2,9 @@
 
     step = {"step", "versions", "parent": digest | null, "records": [{"name", "sha256", "of": "file" | "samples"}]}
 
-A digest is the SHA-256 on a model file's second line. A recording from a file has the sum of that file, as `sha256sum`
-prints it; any other recording has the sum of its samples t, u, y (little-endian float64, one series after the other).
+A digest is the SHA-256 on a model file's second line. Until a model is written, its parent is the model itself
+(`model_file.lineage_of`). A recording from a file has the sum of that file, as `sha256sum` prints it; any other
+recording has the sum of its samples t, u, y (little-endian float64, one series after the other).
 """
 
 import hashlib
@@ -16,8 +17,6 @@ import jax
 import numpy as np
 
 from ... import __version__
-from ...common.errors import BadInput
-from ...files.model_file.model_file import digest
 from ..signal.record import Record
 from .fitted import Fitted, fitted_of
 from .model import Model
@@ -33,11 +32,8 @@ def descended(
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    try:
-        known = None if parent is None else digest(parent)
-    except BadInput:  # a user's own part, which no file can hold
-        known = None
-    entry = {"step": step, "versions": versions, "parent": known, "records": sums(records)}
+    parent = None if parent is None else fitted_of(parent)
+    entry = {"step": step, "versions": versions, "parent": parent, "records": sums(records)}
     fitted = fitted_of(model)
     return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
 
