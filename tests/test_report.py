@@ -69,7 +69,6 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     assert "The model's own error: 0.40 % of range (a <band>)" in screen
     assert "electrode_rc90 %85 % to 95 %0.970" in text[text.index("Parts of the gap") :]
     assert "It stands out <here> & there." in screen
-    assert "100 % of the missing force acts at displacements of 1.1 to 1.2 mm" in screen
     assert "delay: closes 62 %, error 1.5 % of range" in screen
     assert "Every recording was predicted by a fit that did not use it" in screen
     assert page.tags.count("svg") == len(figures.figures(explained)) == 5

@@ -44,7 +44,7 @@ def test_an_electronic_output_is_told_in_volts(explained):
     electronic = replace(explained, model=replace(explained.model, origin=Origin(displacement_unit="mV")))
     assert figures.gap(electronic)[0].axes[0].get_ylabel() == "output (mV)"
     text = report(electronic)
-    assert "outputs of 1.1 to 1.2 mV" in text and "range (mV)" in text and "In mV, rms" in text
+    assert "range (mV)" in text and "In mV, rms" in text
 
 
 def test_maps_and_bars_show_the_shares(tied):

@@ -14,7 +14,6 @@ from ....method.model.units import units_of
 from .figures import by_closed_fraction, figures, fraction_closed, refitted, scaling
 
 _NEAREST = 3  # candidates named on a card
-_GATHERED, _OVER = 0.6, 2.0  # a fraction that counts as concentrated, and its least ratio to the time spent there
 
 
 def report(d: Diagnosis, drawn: dict[str, Picture] | None = None) -> str:
@@ -44,8 +43,8 @@ def _where(d: Diagnosis) -> Card:
     band = max(d.where["frequency"], key=lambda row: row["share"])["band_hz"]
     side = "held-out recording" if d.heldout else "recording"
     of_gap = percent(d.where["records"].get(worst(d).name, 0.0))
-    lines = [*_concentrations(d)[:2], f"Worst {side}: {worst(d).name}, {of_gap} of the gap."]
-    return Card("Where", f"{figure(band[0])} to {figure(band[1])} Hz", lines)
+    line = f"Worst {side}: {worst(d).name}, {of_gap} of the gap."
+    return Card("Where", f"{figure(band[0])} to {figure(band[1])} Hz", [line])
 
 
 def _which(d: Diagnosis) -> Card:
@@ -79,53 +78,6 @@ def _how_far(d: Diagnosis) -> Card:
     if d.heldout:
         lines.append("Every recording was predicted by a fit that did not use it.")
     return Card("How far", f"{of_range(g.before)} → {of_range(g.after)}", lines)
-
-
-def _concentrations(d: Diagnosis) -> list[str]:
-    """Describe where most of the gap lies within a rarely visited part of an axis, the clearest case first."""
-    units = units_of(d.model)
-    scale, unit = scaling(units.output)
-    factor, command = scaling(units.input)
-    facts = []
-    for axis, words, scaled, key in (
-        ("displacement", f"of the missing force acts at {units.output_word}s of {{}} to {{}} {unit}", scale, "range"),
-        ("voltage", f"of the missing force acts at {{}} to {{}} {command}", factor, "range"),
-        ("time", "of the error occurs between {} and {} % of a recording's length", 100.0, "part"),
-    ):
-        rows, spent = d.where[axis], _time_spent(d, axis)
-        run = _narrowest([row["share"] for row in rows])
-        if run is None:
-            continue
-        energy, there = sum(row["share"] for row in rows[slice(*run)]), float(spent[slice(*run)].sum())
-        if energy >= _OVER * there:
-            ends = (figure(scaled * v, 2) for v in (rows[run[0]][key][0], rows[run[1] - 1][key][1]))
-            rest = "" if axis == "time" else f", where {percent(there)} of the time is spent"
-            facts.append((there / energy, f"{percent(energy)} {words.format(*ends)}{rest}."))
-    return [text for _, text in sorted(facts)]
-
-
-def _time_spent(d: Diagnosis, axis: str) -> np.ndarray:
-    """Return the fraction of time in every bin of an axis of `Diagnosis.where`."""
-    rows = d.where[axis]
-    total = np.zeros(len(rows))
-    for t in () if axis == "time" else d.traces:
-        seen = t.measured[np.isfinite(t.measured)]
-        values = d.model.output.to_model(seen) if axis == "displacement" else t.voltage
-        if len(values):
-            edges = [row["range"][0] for row in rows] + [rows[-1]["range"][1]]
-            total += np.histogram(np.clip(values, edges[0], edges[-1]), edges)[0] / len(values)
-    return total / total.sum() if total.sum() else np.full(len(rows), 1 / max(len(rows), 1))
-
-
-def _narrowest(fractions: list[float]) -> tuple[int, int] | None:
-    """Return (first, last) of the shortest run of neighbouring bins that holds most of the gap."""
-    runs = [
-        (last - first, -sum(fractions[first:last]), first, last)
-        for first in range(len(fractions))
-        for last in range(first + 1, len(fractions) + 1)
-        if sum(fractions[first:last]) >= _GATHERED
-    ]
-    return min(runs)[2:] if runs else None
 
 
 def budget_table(budget: dict) -> Table:
