@@ -47,15 +47,16 @@ class Excitation:
         return float(self.time[-1] / (len(self.time) - 1))
 
 
+_F_START = 0.01  # Hz, of both sweeps
+
+
 @dataclass(frozen=True)
 class _Protocol:
     """The protocol of the paper's section III-C for one actuator, in V, Hz and s."""
 
     rate: float
-    f_start: float
     f_end: float
     sweep_s: float
-    sweep_amplitude: float
     frequencies: tuple[float, ...]
     amplitudes: tuple[float, ...]
     offset: float
@@ -66,10 +67,8 @@ class _Protocol:
 _PROTOCOLS = {
     "cone": _Protocol(
         rate=1e3,
-        f_start=0.01,
         f_end=20.0,
         sweep_s=200.0,
-        sweep_amplitude=3000.0,
         frequencies=tuple(float(f) for f in range(1, 11)),
         amplitudes=(1000.0, 2000.0, 3000.0),
         offset=3000.0,
@@ -86,10 +85,8 @@ _PROTOCOLS = {
     ),
     "roll": _Protocol(
         rate=5e3,
-        f_start=0.01,
         f_end=180.0,
         sweep_s=90.0,
-        sweep_amplitude=700.0,
         frequencies=tuple(float(f) for f in range(5, 131, 5)),
         amplitudes=(200.0, 350.0, 500.0),
         offset=700.0,
@@ -133,8 +130,8 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
     numbers = _PROTOCOLS[actuator]
     edges = {"rise": rise, "rest_s": rest_s}
     if part == "sweep":
-        swing = numbers.sweep_amplitude
-        drive = sweep(numbers.f_start, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
+        swing = numbers.offset
+        drive = sweep(_F_START, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
         return (Excitation("sweep", *drive),)
     if part == "train":
         grid = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes]

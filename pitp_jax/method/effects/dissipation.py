@@ -9,11 +9,15 @@ Friction is resolved: f brings x' to rest within the step and is at most F_c (or
 given motion of order 1, it is regularised at a hundredth of the usual speed.
 """
 
+from functools import partial
+
 import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import dahl
 from .spec import EffectSpec, Parameter
+
+_loss = partial(EffectSpec, family="dissipation", port="C")  # a force against the velocity
 
 
 def dry(now: Instant, level):
@@ -55,47 +59,47 @@ def _loaded(p, now: Instant):
 _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
 
 DRAG = (
-    EffectSpec(
+    _loss(
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
-        "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|", "dissipation", "C",
+        "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
     ),
 )  # fmt: skip
 FRICTION = (
-    EffectSpec(
+    _loss(
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction opposes the motion with the same force at any speed.",
-        "f = level sgn(x')", "dissipation", "C", resolved=True,
+        "f = level sgn(x')", resolved=True,
         law=lambda p, now: dry(now, p.level),
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of the spring, as in a loaded gear.", "f = (level + mu |k x|) sgn(x')",
-        "dissipation", "C", resolved=True,
+        resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
         "Dry friction that grows with the force of spring and mass together.",
-        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", "dissipation", "C", resolved=True,
+        "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "smooth", (_LEVEL, Parameter("speed", "x/s", speed=1)),
-        "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)", "dissipation", "C",
+        "Dry friction that creeps under a small force.", "f = level tanh(x' / speed)",
         law=_smooth, resolved=True,
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "Stribeck", (_LEVEL, Parameter("rise"), Parameter("speed", "x/s", speed=1)),
         "Dry friction that is larger at low speed.", "f = level (1 + rise exp(-(x' / speed)^2)) sgn(x')",
-        "dissipation", "C", resolved=True, law=_stribeck,
+        resolved=True, law=_stribeck,
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "bristles", (_LEVEL, Parameter("give", "x", length=1)),
         "Dry friction whose contact gives a little before it slides (Dahl 1968).",
-        "f = level z / give, dz = dx - |dx| z / give", "dissipation", "C", kernel=dahl("give"),
+        "f = level z / give, dz = dx - |dx| z / give", kernel=dahl("give"),
         law=lambda p, now: p.level * now.z[0] / p.give,
     ),
-    EffectSpec(
+    _loss(
         "coulomb_friction", "bristles under load",
         (
             Parameter("mu_avg", off=0.0), Parameter("mu_dif", positive=False, off=0.0),
@@ -103,6 +107,6 @@ FRICTION = (
         ),
         "Dry friction that grows with the force that a gear transmits, and differs when the load drives it.",
         "f = mu_avg |g| z / give + mu_dif g (z / give)^2, g = k x + a_2 x'', dz = dx - |dx| z / give",
-        "dissipation", "C", kernel=dahl("give"), law=_loaded,
+        kernel=dahl("give"), law=_loaded,
     ),
 )  # fmt: skip

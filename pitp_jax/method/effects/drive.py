@@ -13,12 +13,15 @@ u runs linearly between samples, and lags are exact for it. A record at rest sta
 """
 
 from collections.abc import Callable
+from functools import partial
 
 import jax.numpy as jnp
 
 from ..model.drive import slope
 from .kernels import DELAY, PRESENT, dahl_of_integral, lag, lag_each_way, lead, play, slew
 from .spec import EffectSpec, Parameter
+
+_drive = partial(EffectSpec, family="drive", port="IN")  # from the commanded voltage to the film's
 
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
 # a memory of the input faster than the plant is a filter of it, not a charge
@@ -55,16 +58,16 @@ def _crossing(form: str, title: str, equation: str, unit: str, part: Callable) -
 
 
 DRIVE = (
-    EffectSpec(
+    _drive(
         "electrode_rc", "one lag", (_TAU,), "The electrodes' resistance delays the charging of the film.",
-        "tau V' = u - V", "drive", "IN", kernel=lag(), law=last_lag,
+        "tau V' = u - V", kernel=lag(), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
     ),
-    EffectSpec(
+    _drive(
         "bleeder", "one lag each way",
         (Parameter("up", "s", off=0.0, linear=False), Parameter("down", "s")),
         "The electrodes discharge faster or slower than they charge.",
-        "tau V' = u - V, tau = up where |u| > |V|, else down", "drive", "IN", kernel=lag_each_way(), only_given=True,
+        "tau V' = u - V, tau = up where |u| > |V|, else down", kernel=lag_each_way(), only_given=True,
         law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
         inverse=lambda p, v, dt: lead(v, dt, jnp.where(p.up > 0, jnp.where(v * slope(v, dt) > 0, p.up, p.down), 0.0)),
     ),
@@ -76,46 +79,45 @@ DRIVE = (
         inverse=lambda p, v, dt: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(_led_force(p, v, dt), 1e-9)), v),
         passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag", only_given=True,
     ),
-    EffectSpec(
+    _drive(
         "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",
-        "V follows u with |V'| <= s, inverse = 1 / s", "drive", "IN", kernel=slew(),
+        "V follows u with |V'| <= s, inverse = 1 / s", kernel=slew(),
         law=lambda p, u, z: jnp.where(p.inverse > 0, z[0], u), inverse=lambda p, v, dt: v,
         passes=lambda p, v, dt: jnp.abs(slope(v, dt)) * p.inverse <= 1.0,
     ),
-    EffectSpec(
+    _drive(
         "voltage_clip", "hard", (Parameter("inverse", "1/V", off=0.0, linear=False),),
         "The amplifier does not go above a voltage.", "V = min(max(u, -u_max), u_max), inverse = 1 / u_max",
-        "drive", "IN",
         law=lambda p, u, z: jnp.clip(u, -1 / jnp.maximum(p.inverse, 1e-30), 1 / jnp.maximum(p.inverse, 1e-30)),
     ),
-    EffectSpec(
+    _drive(
         "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
         "Below a threshold the voltage has no effect; above it, only the excess acts.",
-        "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold", "drive", "IN",
+        "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold",
         law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
         inverse=lambda p, v, dt: v + p.threshold * jnp.sign(v),
     ),
-    EffectSpec(
+    _drive(
         "voltage_offset", "constant", (Parameter("offset", "V", positive=False, off=0.0),),
-        "A constant voltage is added to the commanded one.", "V = u + offset", "drive", "IN",
+        "A constant voltage is added to the commanded one.", "V = u + offset",
         law=lambda p, u, z: u + p.offset,
     ),
-    EffectSpec(
+    _drive(
         "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts after a delay T.",
-        "V(t) = u(t - T), T = time", "drive", "IN", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
+        "V(t) = u(t - T), T = time", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
         commutes=True, law=lambda p, u, z: u,
         # up to a period of the resonance, as behind a bus or a filter
     ),
-    EffectSpec(
+    _drive(
         "charge_leak", "one trap", (Parameter("kappa", off=0.0), _STORE),
         "Charge creeps into the film and takes away part of a held voltage.", "V = u - kappa q, tau q' = u - q",
-        "drive", "IN", kernel=lag(),
+        kernel=lag(),
         law=lambda p, u, z: u - p.kappa * z[0],
     ),
-    EffectSpec(
+    _drive(
         "charge_retention", "one store", (Parameter("k", off=0.0), _STORE),
         "Charge stays in the film and keeps pulling when the voltage is zero.", "V = u + q, tau q' = k |u| - q",
-        "drive", "IN", kernel=lag(of=lambda p, u: p.k * jnp.abs(u)),
+        kernel=lag(of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
     ),
     EffectSpec(

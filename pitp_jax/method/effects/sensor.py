@@ -6,6 +6,8 @@ backlash              y follows x as soon as it is width / 2 away, or coasts unt
 second_mode           y = x + gain (z - x),  z'' = omega^2 (x - z) - 2 zeta omega z'
 """
 
+from functools import partial
+
 import jax.numpy as jnp
 
 from ..model.drive import slope
@@ -13,6 +15,8 @@ from .drive import last_lag
 from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
 from .spec import EffectSpec, Parameter
+
+_sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacement to its reading
 
 _TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
 _TAU = Parameter("tau", "s", off=0.0, linear=False)
@@ -35,20 +39,20 @@ def _across(p, y, dt):
 
 
 SENSOR = (
-    EffectSpec(
+    _sensor(
         "sensor_gain", "share", (Parameter("d", positive=False, off=0.0),), "The sensor's scale factor is off.",
-        "y = (1 + d) x", "sensor", "OUT", moves="gain", twin="parameter_change",
+        "y = (1 + d) x", moves="gain", twin="parameter_change",
         law=lambda p, x, z: (1 + p.d) * x,
     ),
     # the curves rise over the range of the records, so within these bounds they can be inverted
-    EffectSpec(
+    _sensor(
         "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
         "The sensor is nonlinear, differently on either side.",
-        "y = x + c2 x^2 + c3 x^3", "sensor", "OUT", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
+        "y = x + c2 x^2 + c3 x^3", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
     ),
-    EffectSpec(
+    _sensor(
         "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
-        "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c", "sensor", "OUT",
+        "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c",
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
         # beyond its range the sensor cannot show the wanted reading: the last possible position
         inverse=lambda p, y, dt: jnp.where(
@@ -56,10 +60,10 @@ SENSOR = (
         ),
     ),
     # without a unique inverse: of two displacements with the same reading, the one that is not folded
-    EffectSpec(
+    _sensor(
         "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
         "The sensor does not show the direction: beyond a position its reading decreases again.",
-        "y = fold + |x - fold|", "sensor", "OUT",
+        "y = fold + |x - fold|",
         law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
     ),
     EffectSpec(
@@ -76,14 +80,14 @@ SENSOR = (
         kernel=coasting(), inverse=lambda p, y, dt: y,
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
-    EffectSpec(
-        "sensor_lag", "one lag", (_TAU,), "The sensor responds with a lag.", "tau y' = x - y", "sensor", "OUT",
+    _sensor(
+        "sensor_lag", "one lag", (_TAU,), "The sensor responds with a lag.", "tau y' = x - y",
         kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
     ),
-    EffectSpec(
+    _sensor(
         "sensor_lag", "second order", (_TAU, Parameter("zeta")),
         "The sensor is a low-pass filter, or has a soft mount.",
-        "tau^2 y'' + 2 zeta tau y' + y = x", "sensor", "OUT",
+        "tau^2 y'' + 2 zeta tau y' + y = x",
         kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
         # at tau = 0 the oscillator is at its bound, and would replace x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),

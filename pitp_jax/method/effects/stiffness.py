@@ -11,11 +11,15 @@ end_stop    k kappa max(x - x_s, 0),   its mirror image, or both;   d + tau d' i
 A Gent-like spring fitted by a cubic alone fitted worse than an end stop, so an effect has several forms.
 """
 
+from functools import partial
+
 import jax.numpy as jnp
 import numpy as np
 
 from .kernels import FARTHEST
 from .spec import EffectSpec, Parameter
+
+_spring = partial(EffectSpec, family="stiffness", port="K")  # a force beside the linear spring
 
 _LIMIT = 0.97**2  # of the squared length of the Gent-like spring; above, the force continues linearly
 _SMALL = 0.03  # below, a ratio is replaced by its series, because 0/0 is undefined in float32
@@ -77,8 +81,8 @@ def _by_tangent(p, k, plant):
 
 def _polynomial(name: str, title: str) -> EffectSpec:
     """Build the catalogue entry of a polynomial spring whose terms may have either sign."""
-    return EffectSpec(
-        name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)", "stiffness", "K",
+    return _spring(
+        name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)",
         reported=_by_tangent, law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
     )  # fmt: skip
 
@@ -97,79 +101,78 @@ _POLYNOMIAL = tuple(
 _CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
 
 SPRINGS = (
-    EffectSpec(
+    _spring(
         "stiffening", "cubic", (Parameter("c", "1/x^2", length=-2, off=0.0),),
-        "The spring gets harder with displacement.", "f = k c x^3", "stiffness", "K",
+        "The spring gets harder with displacement.", "f = k c x^3",
         law=lambda p, now: now.k * p.c * now.x**3,
     ),
-    EffectSpec(
+    _spring(
         "stiffening", "limited chain", _CURVATURE, "The spring cannot be stretched further than a length L (Gent).",
-        "f = k x (1 / (1 - r^2) - 1), r = |x| / L, curvature = 1 / L", "stiffness", "K",
+        "f = k x (1 / (1 - r^2) - 1), r = |x| / L, curvature = 1 / L",
         law=_gent,
     ),
     _polynomial("stiffening", "The spring gets harder towards the ends of the motion."),
-    EffectSpec(
+    _spring(
         "softening", "quadratic", (Parameter("c", "1/x", length=-1, off=0.0),),
         "The spring gets softer with displacement.",
-        "f = -k c x^2, no further than where the spring's slope is a tenth of k", "stiffness", "K",
+        "f = -k c x^2, no further than where the spring's slope is a tenth of k",
         law=_quadratic,
     ),
     _polynomial("softening", "The spring gets softer towards the ends of the motion."),
-    EffectSpec(
+    _spring(
         "softening", "saturating", _CURVATURE, "The spring's force stops growing at large displacements.",
-        "f = 0.97 k (L tanh(x / L) - x), curvature = 1 / L", "stiffness", "K",
+        "f = 0.97 k (L tanh(x / L) - x), curvature = 1 / L",
         law=_saturating,
     ),
-    EffectSpec(
+    _spring(
         "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
         "The spring gets softer in one direction and harder in the other.",
-        "f = k ((1 - exp(-b x)) / b - x)", "stiffness", "K",
+        "f = k ((1 - exp(-b x)) / b - x)",
         law=_exponential,
     ),
-    EffectSpec(
+    _spring(
         "softening", "gravity", _CURVATURE, "The spring is a weight on an arm, whose torque grows less than the angle.",
-        "f = k (L sin(x / L) - x), curvature = 1 / L", "stiffness", "K",
+        "f = k (L sin(x / L) - x), curvature = 1 / L",
         law=_gravity,
     ),
-    EffectSpec(
+    _spring(
         "softening", "weight on an arm",
         (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
         "A weight on an arm acts in addition to the spring; its torque grows less than the angle.",
-        "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", "stiffness", "K", stiffens=True,
+        "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", stiffens=True,
         law=lambda p, now: p.kappa * (_gravity(p, now) + now.k * now.x),
     ),
-    EffectSpec(
+    _spring(
         "softening", "root", _CURVATURE, "The spring's force grows as the root of a large displacement.",
-        "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L", "stiffness", "K",
+        "f = k (L (sqrt(1 + 2 |x| / L) - 1) sgn(x) - x), curvature = 1 / L",
         law=_root,
     ),
-    EffectSpec(
+    _spring(
         "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
         "The spring is softer after a larger stretch (Mullins effect).",
-        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", "stiffness", "K", kernel=FARTHEST,
+        "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", kernel=FARTHEST,
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,
     ),
-    EffectSpec(
+    _spring(
         "end_stop", "above", _STOP, "Above a displacement the motion runs into a stiff stop.",
-        "f = k kappa max(x - place, 0)", "stiffness", "K",
+        "f = k kappa max(x - place, 0)",
         law=lambda p, now: now.k * p.kappa * jnp.maximum(now.x - p.place, 0.0),
     ),
-    EffectSpec(
+    _spring(
         "end_stop", "below", _STOP, "Below a displacement the motion runs into a stiff stop.",
-        "f = -k kappa max(-x - place, 0)", "stiffness", "K",
+        "f = -k kappa max(-x - place, 0)",
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
-    EffectSpec(
+    _spring(
         "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1, positive=False)),
         "On each side, at its own displacement, the motion runs into a stiff stop.",
-        "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))", "stiffness", "K",
+        "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
     ),
-    EffectSpec(
+    _spring(
         "end_stop", "each side, damped", (*_STOP, Parameter("opposite", "x", length=1, positive=False), _TAU),
         "On each side the motion runs into something stiff that does not throw it back.",
         "f = k kappa max(d + tau d', 0) where d = x - place > 0, and from the other side where d = -x - opposite > 0",
-        "stiffness", "K",
         law=lambda p, now: (
             now.k * p.kappa * (_pushed(p, now, now.x - p.place, 1) - _pushed(p, now, -now.x - p.opposite, -1))
         ),
