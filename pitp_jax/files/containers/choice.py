@@ -426,13 +426,6 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     if "time" in problems:
         words += problems["time"].options or _time_words(table, seen, pools["time"], free, taken)
     ports = [q for q in ("voltage", "displacement") if q in quantities]
-    drive = next((s for s in seen if "voltage" in chosen and s.place == chosen["voltage"].place), None)
-    if drive is not None and drive.role is None and not pools.get("displacement", [drive]):
-        # chosen as the input by its unit alone: it may as well be the output, so the order of the file decides
-        chosen, pools = {q: c for q, c in chosen.items() if q != "voltage"}, pools | {"voltage": []}
-        problems = problems | {"voltage": _Ask("")}
-        taken.discard(drive.place)
-        free = [s for s in seen if s in free or s is drive]
     asked = any(q in problems and len(pools[q]) != 1 for q in ports)
     # of two recordings in one file (`t u y`, `t_ u_ y_`) the columns of one length belong together
     clock = next((c.place for q, c in chosen.items() if q == "time" and c.place is not None), None)
