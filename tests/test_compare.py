@@ -12,6 +12,7 @@ from scipy.signal import lsim
 
 import pitp_jax as pitp
 from pitp_jax.application.compare.pairing import pair_records
+from pitp_jax.application.compare.remarks import remarks_on
 from pitp_jax.application.demo import joint
 from pitp_jax.application.pages.compare import figures
 from pitp_jax.common.numbers import number
@@ -50,7 +51,7 @@ def test_recordings_are_paired_by_their_drives_and_clocks_told_apart():
     assert [p.second.name for p in found.pairs] == ["chirp", "slow", "fast"]
     assert [p.offset for p in found.pairs] == pytest.approx([3.7] * 3, abs=1e-4)
     assert min(p.correlation for p in found.pairs) > 0.999
-    assert found.remarks("robot", "simulator") == [
+    assert remarks_on(found, "robot", "simulator") == [
         "Paired by their commands (robot with simulator): log_5p with chirp, log_4w with slow, log_4t with fast.",
         "The clock of the robot is 3.7 s ahead of that of the simulator. This is not a delay.",
     ]
@@ -58,7 +59,7 @@ def test_recordings_are_paired_by_their_drives_and_clocks_told_apart():
 
 
 def test_clocks_of_different_origins_are_reported_without_a_figure():
-    found = pair_records(machine(clock=1.796e9), machine()).remarks("robot", "sim")
+    found = remarks_on(pair_records(machine(clock=1.796e9), machine()), "robot", "sim")
     assert found == ["The logs of robot and sim use different clocks, more than a day apart. Ignored."]
 
 
@@ -93,7 +94,7 @@ def test_repeated_commands_are_paired_by_their_responses():
     robot = sorted(_loads(running.__getitem__, late=0.03, gain=0.85, noise=1e-3), key=lambda r: r.name)
     found = pair_records(simulated, robot)
     assert {p.first.name: p.second.name for p in found.pairs} == running
-    told = " ".join(found.remarks("sim", "robot"))
+    told = " ".join(remarks_on(found, "sim", "robot"))
     assert "Several recordings of the sim have the same command (light_chirp, middle_chirp, heavy_chirp;" in told
     assert not found.undecided
 
@@ -128,7 +129,7 @@ def test_equal_recordings_go_by_their_names_and_are_reported():
     found = pair_records(twice, twice[::-1])
     assert [(p.first.name, p.second.name) for p in found.pairs] == [("chirp", "chirp"), ("chirp_again", "chirp_again")]
     assert found.undecided == (("chirp", "chirp", ("chirp_again",)), ("chirp_again", "chirp_again", ("chirp",)))
-    assert "chirp fits chirp_again as well as chirp" in " ".join(found.remarks("a", "b"))
+    assert "chirp fits chirp_again as well as chirp" in " ".join(remarks_on(found, "a", "b"))
 
 
 @pytest.mark.parametrize(("command", "output"), [(1, 1), (-1, -1), (1, -1), (-1, 1)])

@@ -17,6 +17,7 @@ from ...method.model.fitted import Fitted
 from ...method.model.model import Model
 from ...method.signal.record import Record
 from ..compare.pairing import Pairing
+from ..compare.remarks import remarks_on
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -119,7 +120,7 @@ class SimToReal:
                 f"One linear model leaves {missed:.2g} % of the simulator's recordings unexplained. If they were "
                 "simulated with several loads or gains, put those of each into a folder of its own."
             )
-        return [*texts, *self.pairs.remarks("robot", "simulator")]
+        return [*texts, *remarks_on(self.pairs, "robot", "simulator")]
 
     def __repr__(self) -> str:
         """Write verdict and parameters in at most ten lines."""

@@ -18,7 +18,6 @@ from scipy.optimize import linear_sum_assignment
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .alignment import ALIKE, Alignment, align
-from .remarks import remarks_on
 
 _AS_GOOD = (1.5, 0.02)  # factor and fraction of the command's deviation by which a misfit may exceed the best one
 _FIRST, _LAST = 1e3, 1e-9  # weights: of the command before the response, of the name after it
@@ -77,10 +76,6 @@ class Pairing:
     repeated: tuple[tuple[tuple[str, ...], ...], tuple[tuple[str, ...], ...]] = ((), ())
     undecided: tuple[tuple[str, str, tuple[str, ...]], ...] = ()
     mirrored: tuple[bool, bool] = (False, False)
-
-    def remarks(self, first: str, second: str) -> list[str]:
-        """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
-        return remarks_on(self, first, second)
 
 
 def pair_records(

@@ -19,6 +19,7 @@ from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .models import compare_models
 from .pairing import Pair, pair_records
+from .remarks import remarks_on
 from .result import Comparison, Difference, measured
 
 _BLOCKS = 8
@@ -28,7 +29,7 @@ _NOISES = 3.0  # allowed difference of two recordings of one machine, in standar
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
     """Pair recordings and compare their outputs; if none pairs, compare linear models fitted to both sets."""
     pairs = pair_records(a, b)
-    remarks = pairs.remarks(*names)
+    remarks = remarks_on(pairs, *names)
     if pairs.pairs:
         rows = [row for pair in pairs.pairs for row in _outputs(pair, names[0])]
         remarks += _offset_lines(pairs.pairs, names)

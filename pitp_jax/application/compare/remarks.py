@@ -1,20 +1,17 @@
 """Write remarks on how the recordings of two sets were paired."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ...common.numbers import number
-
-if TYPE_CHECKING:
-    from .pairing import Pairing
+from .pairing import Pairing
 
 _DAY = 86400.0  # s: clocks farther apart have different origins, such as epoch time and the start of a run
 _LISTED = 12  # names in one sentence; the JSON holds all
 
 
-def remarks_on(pairing: "Pairing", first: str, second: str) -> list[str]:
+def remarks_on(pairing: Pairing, first: str, second: str) -> list[str]:
     """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
     named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
     lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
@@ -41,7 +38,7 @@ def _listed(names: Sequence[str], separator: str = ", ") -> str:
     return separator.join(names[:_LISTED]) + (f"{separator}and {more} more" if more > 0 else "")
 
 
-def _of_ties(pairing: "Pairing", first: str, second: str) -> list[str]:
+def _of_ties(pairing: Pairing, first: str, second: str) -> list[str]:
     lines = []
     for side, groups in ((first, pairing.repeated[0]), (second, pairing.repeated[1])):
         words = _listed([", ".join(group) for group in groups], "; ")
@@ -56,7 +53,7 @@ def _of_ties(pairing: "Pairing", first: str, second: str) -> list[str]:
     return lines
 
 
-def _of_signs(pairing: "Pairing", second: str) -> list[str]:
+def _of_signs(pairing: Pairing, second: str) -> list[str]:
     command, output = pairing.mirrored
     keys = [key for key, turned in (("input-scale", command), ("output-scale", output)) if turned]
     if not keys or not pairing.pairs:
