@@ -4,9 +4,9 @@ from dataclasses import asdict
 from pathlib import Path
 
 from ...common.errors import BadInput
+from ..compare.description import fallback_line
 from ..demo import files, joint
 from ..demo.protocol import run, tables
-from ..pages.description import fallback_line
 from .console import ProgressBar, number, print_table, say
 from .outputs import check_outputs, staged
 

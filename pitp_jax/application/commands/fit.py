@@ -17,7 +17,7 @@ from ...method.train.cross_validation import cross_validate as run_cross_validat
 from ...method.train.cross_validation import with_held_out
 from ...method.train.settings import preset_of
 from ...method.train.training import Training, train
-from ..pages.description import describe, fallback_line, in_words, sensor_line
+from ..compare.description import describe, fallback_line, in_words, sensor_line
 from .compatibility import check_belongs
 from .console import ProgressBar, number, say
 from .fit_errors import errors_json, explained, print_errors, suspects

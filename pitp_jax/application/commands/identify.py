@@ -7,7 +7,7 @@ from ...method.identify.identification import Identification
 from ...method.identify.identification import identify as run_identify
 from ...method.model.units import units_of
 from ...method.simulate.prediction import predict
-from ..pages.description import describe
+from ..compare.description import describe
 from .console import number, print_table, say
 from .outputs import REPORT, check_outputs, staged
 from .predict import score

@@ -4,7 +4,7 @@ from ...common.errors import BadInput
 from ...files.model_file.model_file import digest, load
 from ...method.model.fitted import Fitted
 from ...method.simulate.model_runs import way_of
-from ..pages.description import describe
+from ..compare.description import describe
 from .console import number
 from .outputs import check_outputs, write_json
 from .reports import print_model

@@ -7,7 +7,7 @@ from ...common.units import from_base
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.signal.initial_state import Beginning
-from ..pages.description import in_words, sensor_line
+from ..compare.description import in_words, sensor_line
 from .console import number, print_table
 
 _HOLDS = {"foh": "linear between samples", "zoh": "held between samples", "bandlimited": "band-limited between samples"}

@@ -11,8 +11,8 @@ from ...files.model_file.model_file import digest, lineage_of
 from ...method.effects.words import coefficient_meaning
 from ...method.model.fitted import Fitted
 from ...method.model.units import base_units, units_of
-from ..pages.description import describe
 from .behaviour import compare_behaviour
+from .description import describe
 from .result import Comparison, Difference, measured, stated
 
 _FACTS = {

@@ -12,7 +12,7 @@ from ...common.quantity import grouped
 from ...method.identify.identification import Identification
 from ...method.identify.order_fit import OrderFit
 from ...method.model.units import units_of
-from .description import sensor_line
+from ..compare.description import sensor_line
 from .drawing import CYCLE, MEASURED
 
 

@@ -24,7 +24,7 @@ from ...method.model.units import units_of
 from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction, predict
-from .description import fallback_line
+from ..compare.description import fallback_line
 from .drawing import CYCLE, ERROR, MEASURED, PREDICTED, beside
 
 _KNOWN = 0.5  # standard error of ln tau above which a time constant counts as unknown
