@@ -2,7 +2,7 @@
 
     certain   the verdict reports it
     tied      the verdict reports it, with effects that these recordings do not separate from it
-    likely    P >= LIKELY against the best hypothesis without it, LISTED of the closed energy, and a strength whose
+    likely    P >= LIKELY against the best hypothesis without it, LISTED of the closed error, and a strength whose
               interval excludes its value without the part
     none      otherwise; also coefficients that are refitted together with every effect, and those beside which a
               black-box model on the unchanged nominal model fits better by 1 - FIRST (P >= SURE)

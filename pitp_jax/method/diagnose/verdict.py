@@ -41,8 +41,8 @@ class Decision:
         chosen: the last set that improves the fit significantly; otherwise the base.
         said: reported effects, most important first; empty unless explained or partly.
         tied: per reported effect, the effects that the records do not separate from it.
-        probabilities: per effect with at least the fraction LISTED of the closed energy, P that it is needed.
-        fractions: per effect of the set, fraction of the closed energy.
+        probabilities: per effect with at least the fraction LISTED of the closed error, P that it is needed.
+        fractions: per effect of the set, fraction of the closed error.
         bar: the reference added to the base; above: added to the chosen set.
         more: P that the reference added to the set closes more.
         reason: why no effect is reported, in words.
