@@ -372,8 +372,9 @@ def test_weights_that_make_no_model_are_refused(last, problem, tmp_path, monkeyp
     with pytest.raises(BadInput, match=problem):
         model_file.save(tmp_path / "m", odd)
     assert not (tmp_path / "m").exists()
-    monkeypatch.setattr(model_file, "leaf_problems", lambda names, arrays: [])  # as a stranger would write it
-    model_file.save(tmp_path / "m", odd)
+    with monkeypatch.context() as stranger:
+        stranger.setattr(model_file, "leaf_problems", lambda names, arrays: [])
+        model_file.save(tmp_path / "m", odd)
     with pytest.raises(BadInput, match=problem):
         model_file.load(tmp_path / "m")
 

@@ -215,10 +215,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
                 pools[quantity] = exact
     if "time" in quantities and "time" not in pools:
         pools["time"] = _clocks(open_)
-    clocks = [*pools.get("time", [])]
-    clocks += [
-        s for s in open_ if s.kind == "time" or (s.kind is None and s.role == "time") or s.column.form == "stamp"
-    ]
+    clocks = [*pools.get("time", []), *_clocks(open_)]
     data = [s for s in open_ if s not in clocks and not s.counts_rows]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     # a laser or an encoder is often read in volts
@@ -248,10 +245,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
 
 def _clocks(seen: Sequence[_Seen]) -> list[_Seen]:
     """Return the columns that may hold the time: those with a unit of time, and those named so without a unit."""
-    return [
-        s for s in seen
-        if s.column.form == "stamp" or s.kind == "time" or (s.role == "time" and (s.unit is None or s.conflict))
-    ]  # fmt: skip
+    return [s for s in seen if s.column.form == "stamp" or s.kind == "time" or (s.role == "time" and s.kind is None)]
 
 
 def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:

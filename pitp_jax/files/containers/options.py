@@ -22,6 +22,7 @@ from ...common.units import TIME_UNITS, spelt, units_of, written
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
 FOLDER_FILE = "pitp.toml"
+_FINITE = {"factor": "finite number other than 0", "positive": "positive number", "number": "finite number"}
 _RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
 
 
@@ -89,23 +90,18 @@ class ReadOptions:
             unit = self.unit(quantity)
             if unit is None:
                 continue
-            known = spelt(unit) if isinstance(unit, str) else None
-            if known is None and isinstance(unit, str) and quantity != "time":
-                known = written(unit)
+            known = (spelt(unit) or (quantity != "time" and written(unit)) or None) if isinstance(unit, str) else None
             if known is None or (known in TIME_UNITS) != (quantity == "time"):
                 other = "" if quantity == "time" else ", another one of SI symbols such as W, or counts for any other"
                 problems.append(f"--{stem}-unit {unit!r} is not one of {', '.join(units_of(quantity))}{other}")
             object.__setattr__(self, f"{stem}_unit", known)
-        for name in ("input_scale", "output_scale", "rate"):
-            value = getattr(self, name)
-            number = value is None or (isinstance(value, (int, float)) and math.isfinite(value) and value != 0)
-            if not number or (name == "rate" and value is not None and value < 0):
-                kind = "positive number" if name == "rate" else "finite number other than 0"
-                problems.append(f"--{name.replace('_', '-')} {value!r} is not a {kind}")
-        for name in ("input_offset", "output_offset"):
-            value = getattr(self, name)
-            if value is not None and not (isinstance(value, (int, float)) and math.isfinite(value)):
-                problems.append(f"--{name.replace('_', '-')} {value!r} is not a finite number")
+        for f in fields(self):
+            value, kind = getattr(self, f.name), f.metadata["kind"]
+            if value is None or kind not in _FINITE:
+                continue
+            number = isinstance(value, (int, float)) and math.isfinite(value)
+            if not number or (kind == "factor" and value == 0) or (kind == "positive" and value <= 0):
+                problems.append(f"--{option_of(f.name)} {value!r} is not a {_FINITE[kind]}")
         problems += self._range_problems() + self._text_problems()
         if problems:
             raise BadInput("; ".join(problems))

@@ -16,6 +16,8 @@ import io
 import json
 import math
 import os
+from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -29,7 +31,7 @@ from ...method.model.own_encoder import own_module
 from ...method.model.programs import on_device
 from ..recordings.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode, origin_of
-from .plausible import LARGEST_FILE, check_header, check_leaves, header_problems, leaf_problems
+from .plausible import LARGEST_FILE, header_problems, leaf_problems, refuse
 
 VERSION = 2
 _MAGIC = b"pitp_jax model "
@@ -84,12 +86,12 @@ def _body(fitted: Fitted) -> bytes:
     header["origin"]["lineage"] = lineage_of(fitted)
     # as `load` will build it, so that a model that could not be read back is refused here
     skeleton = _stored(_skeleton(header, own_module(fitted.model.encoder)))
-    arrays = [(jax.tree_util.keystr(k), np.asarray(leaf)) for k, leaf in _arrays(model)]
+    arrays = [(name, np.asarray(leaf)) for name, leaf in _leaves(model, eqx.is_array)]
     for name, array in arrays:
         if array.dtype.name not in _DTYPES:
             raise BadInput(f"cannot save the model: {name} is {array.dtype}; use one of {', '.join(_DTYPES)}")
     # a part whose arrays were changed by hand: its sizes no longer match their shapes
-    if [_place(shape) for shape in _shapes(skeleton)] != [_place(leaf) for leaf in _arrays(model)]:
+    if [(name, leaf.shape) for name, leaf in _leaves(skeleton, _is_shape)] != [(n, array.shape) for n, array in arrays]:
         raise BadInput("cannot save the model: its arrays do not match its parts")
     header["leaves"] = [[name, array.dtype.name, list(array.shape)] for name, array in arrays]
     if problems := header_problems(header) + leaf_problems(*map(list, zip(*arrays, strict=True))):
@@ -130,7 +132,7 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
         # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
         text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
         header = decode(text)
-        check_header(header)
+        refuse(header_problems(header))  # before any part is built from it
         model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
         return Fitted(model, origin_of(header))
     except BadInput as error:
@@ -216,16 +218,10 @@ def _is_constant_array(part) -> bool:
     return isinstance(part, ConstantArray)
 
 
-def _place(leaf) -> tuple:
-    return jax.tree_util.keystr(leaf[0]), tuple(leaf[1].shape)
-
-
-def _arrays(model: Model) -> list:
-    return jax.tree_util.tree_leaves_with_path(eqx.filter(model, eqx.is_array))
-
-
-def _shapes(skeleton: Model) -> list:
-    return jax.tree_util.tree_leaves_with_path(eqx.filter(skeleton, _is_shape))
+def _leaves(model: Model, kind: Callable) -> list[tuple[str, Any]]:
+    """Return the leaves of a kind, by name."""
+    leaves = jax.tree_util.tree_leaves_with_path(eqx.filter(model, kind))
+    return [(jax.tree_util.keystr(place), leaf) for place, leaf in leaves]
 
 
 def _refuse(literal: str):
@@ -241,8 +237,8 @@ def _filled(skeleton: Model, leaves: list, data: memoryview) -> Model:
 
 def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
     """Read the stored arrays into a model of shapes; refuse arrays of other shapes."""
-    places = _shapes(skeleton)
-    if [jax.tree_util.keystr(k) for k, _ in places] != [name for name, _, _ in leaves]:
+    places = _leaves(skeleton, _is_shape)
+    if [name for name, _ in places] != [name for name, _, _ in leaves]:
         raise ValueError("its leaves are not those of its parts")
     stream, arrays = io.BytesIO(data), []
     for (_, place), (name, dtype, shape) in zip(places, leaves, strict=True):
@@ -255,7 +251,7 @@ def _fill(skeleton: Model, leaves: list, data: memoryview) -> Model:
         plain = np.frombuffer(stream.read(math.prod(stored) * kind.itemsize), kind).reshape(stored)
         with jax.enable_x64(True):  # otherwise float64 leaves would come back as float32
             arrays.append(on_device(plain))
-    check_leaves([name for name, _, _ in leaves], [np.asarray(array) for array in arrays])
+    refuse(leaf_problems([name for name, _, _ in leaves], [np.asarray(array) for array in arrays]))
     if stream.read(1):  # trailing bytes could mean something to another reader
         raise ValueError("more bytes than leaves")
     treedef = jax.tree_util.tree_structure(eqx.filter(skeleton, _is_shape))

@@ -15,16 +15,6 @@ _EFFECTS, _LEAVES = 64, 4096
 LARGEST_FILE = 1 << 28  # bytes
 
 
-def check_header(header: dict) -> None:
-    """Refuse a header with impossible numbers, before any part is built from it.
-
-    Raises:
-        BadInput: with all such numbers.
-        KeyError, TypeError, ValueError: entries are missing or of another kind.
-    """
-    _refuse(header_problems(header))
-
-
 def header_problems(header: dict) -> list[str]:
     """Return a text for every impossible number in a header.
 
@@ -90,15 +80,6 @@ def _history(origin: dict) -> dict[str, bool]:
     }
 
 
-def check_leaves(names: list[str], arrays: list[np.ndarray]) -> None:
-    """Refuse stored arrays from which no valid model can be built.
-
-    Raises:
-        BadInput: with all such arrays.
-    """
-    _refuse(leaf_problems(names, arrays))
-
-
 def leaf_problems(names: list[str], arrays: list[np.ndarray]) -> list[str]:
     """Return a text for every array that is not finite, and for a highest coefficient of zero."""
     problems = []
@@ -116,7 +97,12 @@ def _positive(value) -> bool:
     return math.isfinite(value) and value > 0
 
 
-def _refuse(problems: list[str]) -> None:
+def refuse(problems: list[str]) -> None:
+    """Refuse a file with these problems.
+
+    Raises:
+        BadInput: there is at least one.
+    """
     if problems:
         # short and few, because the values are a stranger's text on the user's terminal
         listed = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
