@@ -6,7 +6,7 @@ import pytest
 import pitp_jax as pitp
 from pitp_jax.files.model_file.parts import describe, origin_of
 from pitp_jax.files.model_file.plausible import header_problems
-from pitp_jax.method.model.coverage import input_beyond, input_words, target_beyond, trained_words, with_excited
+from pitp_jax.method.model.coverage import trained_words, untrained, untrained_words, with_excited
 from pitp_jax.method.model.domain import Domain
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.input_map import LinearInput
@@ -105,34 +105,34 @@ def fitted() -> Fitted:
 
 
 def test_sentence_and_remedy(fitted):
-    words = input_words(fitted, input_beyond(fitted, sine(11.0, 300.0), DT))
+    words = untrained_words(fitted, "input", untrained(fitted, "input", sine(11.0, 300.0), DT))
     assert words.startswith("The input has 100 % of its energy between 10 and 12 Hz; ")
     assert "trained up to 7 Hz." in words and "--band 10 12" in words
-    assert input_words(fitted, input_beyond(fitted, sine(3.0, 300.0), DT)) == ""
+    assert untrained_words(fitted, "input", untrained(fitted, "input", sine(3.0, 300.0), DT)) == ""
 
 
 @pytest.mark.parametrize(("size", "told"), [(0.2, False), (0.7, True)])
 def test_a_part_below_a_tenth_of_the_energy_is_not_worth_a_line(fitted, size, told):
     """Beside a trained sine one of 11 Hz with 4 % or 33 % of the energy."""
     mixed = sine(3.0, 300.0) + sine(11.0, 300.0 * size)
-    part = input_beyond(fitted, mixed, DT)
+    part = untrained(fitted, "input", mixed, DT)
     assert part.fraction == pytest.approx(size**2 / (1 + size**2), rel=0.1)
-    assert bool(input_words(fitted, part)) is told
+    assert bool(untrained_words(fitted, "input", part)) is told
 
 
 def test_amplitude_is_told_in_the_users_unit(fitted):
-    words = input_words(fitted, input_beyond(fitted, sine(3.0, 900.0), DT))
+    words = untrained_words(fitted, "input", untrained(fitted, "input", sine(3.0, 900.0), DT))
     assert "up to 900 V" in words and "up to 300 V there" in words
 
 
 def test_targets_are_compared_with_the_measured_output(fitted):
-    assert target_beyond(fitted, 1e-4 * sine(3.0), DT).fraction < 0.01
-    assert target_beyond(fitted, 1e-4 * sine(11.0), DT).fraction > 0.99
+    assert untrained(fitted, "output", 1e-4 * sine(3.0), DT).fraction < 0.01
+    assert untrained(fitted, "output", 1e-4 * sine(11.0), DT).fraction > 0.99
     assert "0.0001 m" in trained_words(fitted) and "300 V" in trained_words(fitted)
 
 
 def test_model_without_a_table_says_nothing(fitted):
-    assert input_beyond(fitted.model, sine(40.0), DT).fraction == 0.0
+    assert untrained(fitted.model, "input", sine(40.0), DT).fraction == 0.0
     assert trained_words(fitted.model) == ""
 
 

@@ -11,7 +11,7 @@ from ...files.model_file.model_file import load
 from ...files.recordings.voltage_file import Drive, read_voltage
 from ...files.recordings.writing import write_signals
 from ...method.model.coordinate import Zero
-from ...method.model.coverage import input_beyond, input_words
+from ...method.model.coverage import untrained, untrained_words
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.signal.sets import RATE_TOLERANCE
@@ -80,7 +80,7 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
                 f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
                 f"by {100 * times:.2g} % of that range's width"
             )
-        if words := input_words(model, input_beyond(model, drive.voltage, drive.dt)):
+        if words := untrained_words(model, "input", untrained(model, "input", drive.voltage, drive.dt)):
             say(f"warning: {drive.name}: {words}")
         if drive.voltage[0] != 0:
             say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from ...common.metrics import e_rms_percent
 from ...common.quantity import Units
-from ..model.coverage import target_words
+from ..model.coverage import untrained_words
 from ..model.fitted import Fitted
 from ..model.model import Model
 from ..signal.excited import Beyond
@@ -75,7 +75,7 @@ def advice(found: Found) -> tuple[str, ...]:
             f"{100 * found.outside:.0f} % of the target lies outside the trained region: "
             f"{outside_words(motion.model, found.cut.features[own], found.sampled.time)}; expect larger errors there",
         )
-    lines += tuple(filter(None, [target_words(found.fitted, found.unseen)]))
+    lines += tuple(filter(None, [untrained_words(found.fitted, "output", found.unseen)]))
     lines += on_start(float(found.best.voltage[own.start]), own.start * motion.dt, limits)
     lines += on_reach(found.cut.infeasible[own].mean(), found.cut.voltage[own], found.cut.saturated[own], limits)
     lines += on_stroke(motion.wanted, checked.stroke, limits)

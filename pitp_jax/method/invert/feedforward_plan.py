@@ -14,7 +14,7 @@ import numpy as np
 from ...common.errors import BadInput, refuse_traced
 from ...common.shown import Shown
 from ..model.coordinate import Zero
-from ..model.coverage import target_beyond
+from ..model.coverage import untrained
 from ..model.fitted import Fitted, fitted_of
 from ..model.model import Model
 from ..model.units import units_of
@@ -120,7 +120,7 @@ def feedforward(
     best = best_voltage(motion, limits, cut, shots)
     checked = check(motion, cut, best)
     outside = outside_fraction(motion.model, cut.features[motion.target])
-    unseen = target_beyond(fitted, motion.wanted, motion.dt)
+    unseen = untrained(fitted, "output", motion.wanted, motion.dt)
     found = Found(fitted, target, sampled, motion, limits, cut, best, checked, outside, unseen)
     return _plan(found, (*warnings, *advice(found)))
 

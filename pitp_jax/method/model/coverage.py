@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from .origin import Origin
 from .units import units_of
 
 WORTH_A_LINE = 0.1  # fraction of the energy
+Side = Literal["input", "output"]
 _LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as trained
 
 
@@ -23,38 +25,23 @@ def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
     return replace(origin, excited_input=tabulate(inputs, dt), excited_output=tabulate(outputs, dt))
 
 
-def input_beyond(model: Model | Fitted, voltage: np.ndarray, dt: float) -> Beyond:
-    """Return the part of a voltage (V, shape (time,)) outside the frequencies and amplitudes of the training data."""
+def untrained(model: Model | Fitted, side: Side, series: np.ndarray, dt: float) -> Beyond:
+    """Return the part of a voltage (V) or of a target (m), shape (time,), outside the training data's tones."""
     fitted = fitted_of(model)
-    return beyond(fitted.origin.excited_input, voltage, dt, _resonance(fitted))
-
-
-def target_beyond(model: Model | Fitted, displacement: np.ndarray, dt: float) -> Beyond:
-    """Return the part of a target (m, shape (time,)) outside the frequencies and amplitudes of the training data."""
-    fitted = fitted_of(model)
-    return beyond(fitted.origin.excited_output, displacement, dt, _resonance(fitted))
+    return beyond(getattr(fitted.origin, f"excited_{side}"), series, dt, _resonance(fitted))
 
 
 def _resonance(fitted: Fitted) -> float:
     return float(fitted.model.natural_frequency) / (2 * np.pi)
 
 
-def input_words(model: Model | Fitted, part: Beyond) -> str:
-    """Describe the untrained part of an input, and the remedy; empty below a tenth of the input's energy."""
-    return _words("input", part, units_of(model).input)
-
-
-def target_words(model: Model | Fitted, part: Beyond) -> str:
-    """Describe the untrained part of a target, and the remedy; empty below a tenth of the target's energy."""
-    return _words("target", part, units_of(model).output)
-
-
-def _words(what: str, part: Beyond, unit: Quantity) -> str:
+def untrained_words(model: Model | Fitted, side: Side, part: Beyond) -> str:
+    """Describe the untrained part of an input or a target, and the remedy; empty below a tenth of its energy."""
     if part.fraction <= WORTH_A_LINE:
         return ""
     low, high = _hz(part.low_hz), _hz(part.high_hz)
     at = "" if part.reached < _LITTLE * part.amplitude else " at this amplitude"
-    size = ""
+    size, unit, what = "", getattr(units_of(model), side), "target" if side == "output" else side
     if part.below_hz is not None and part.above_hz is not None:
         trained = f"up to {_hz(part.below_hz)} Hz and from {_hz(part.above_hz)} Hz{at}"
     elif part.below_hz is not None:

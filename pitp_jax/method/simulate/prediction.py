@@ -13,7 +13,7 @@ from jaxtyping import Array, Float
 
 from ...common.errors import refuse_traced
 from ...common.shown import Shown
-from ..model.coverage import input_beyond, input_words
+from ..model.coverage import untrained, untrained_words
 from ..model.fitted import Fitted, fitted_of
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
@@ -157,9 +157,9 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
 
 def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
     """Add to a prediction the fraction and the description of the input's untrained part."""
-    part = input_beyond(model, record.voltage, record.dt)
+    part = untrained(model, "input", record.voltage, record.dt)
     share = max(run.outside_training_share, part.fraction)
-    return replace(run, outside_training_share=share, not_excited=input_words(model, part))
+    return replace(run, outside_training_share=share, not_excited=untrained_words(model, "input", part))
 
 
 def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:

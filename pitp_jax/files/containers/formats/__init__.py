@@ -4,7 +4,7 @@ A reader is a file with
 
     suffixes: tuple of str        of its files, in lower case
     kind, remedy: str             for the refusal of a file that is not what its suffix says
-    sniff(first) -> bool          whether the first bytes can be those of such a file
+    begins: tuple of bytes        one of which such a file starts with; b"" if any may come first
     tables(path, options)         every part of the file (sheet, group), and every table that it may be
 
 Of the readers of one suffix, the first with the fewest suffixes that accepts the first bytes opens the file.
@@ -67,7 +67,7 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
         raise BadInput(f"{source}: {unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
     readers = [reader for reader in READERS if suffix in reader.suffixes]
     first = [file_bytes(file, _FIRST) for file in (path.iterdir() if path.is_dir() else [path])][0]
-    reader = next((reader for reader in readers if reader.sniff(first)), None)
+    reader = next((reader for reader in readers if first.startswith(reader.begins)), None)
     if reader is None:
         raise BadInput(f"{source}: is not {readers[0].kind} as its suffix says; {readers[0].remedy}")
     return guarded(source, reader.kind.partition(" ")[2], reader.tables, path, options)

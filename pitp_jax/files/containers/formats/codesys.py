@@ -12,13 +12,9 @@ from .text import plain_text
 
 kind, remedy = "a trace of a PLC", "export it as text again"
 suffixes = (".csv", ".txt")
+begins = (b"[key]", b"\xef\xbb\xbf[key]")
 _VARIABLE = re.compile(r"^(\d+)\.Variable;[ \t]*(\S.*?)[ \t]*$", re.MULTILINE)
 _BLOCK = re.compile(r"^(\d+)\.Data(;.*(?:\n;.*)*)", re.MULTILINE)
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first line names the columns of a trace's head."""
-    return first.removeprefix(b"\xef\xbb\xbf").startswith(b"[key]")
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

@@ -17,12 +17,8 @@ from .text import numbers_of
 
 kind, remedy = "an Excel workbook", "save it as .xlsx or CSV"
 suffixes = (".xlsx",)
+begins = (b"PK",)
 _HEAD, _ROWS = 200, 1 << 20  # rows examined; the most a sheet has
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first bytes are those of a zip archive."""
-    return first.startswith(b"PK")
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

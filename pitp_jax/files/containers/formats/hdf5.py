@@ -14,12 +14,8 @@ from ..table import Parts, array_table
 
 kind, remedy = "an HDF5 file", "save it again"
 suffixes = (".h5", ".hdf5")
+begins = (b"",)  # a block of the user's own may come first, and the library refuses other files
 _DEEPEST = 2  # groups below one of the root that are opened; a hard link may form a loop
-
-
-def sniff(first: bytes) -> bool:
-    """Return True: an HDF5 file may begin with a block of the user's own, and its library refuses other files."""
-    return True
 
 
 def tables(path: Path, options: ReadOptions, form: str = "HDF5 file") -> Parts:

@@ -24,13 +24,9 @@ from . import hdf5
 
 kind, remedy = "a MATLAB file", "save it from MATLAB with -v7 or -v7.3"
 suffixes = (".mat",)
+begins = (b"MATLAB", b"\x89HDF")
 _COMPRESSED, _MATRIX, _CONTAINERS = 15, 14, (1, 2, 3)  # element types; classes cell, struct, object
 _DEEPEST, _ELEMENTS = 4, 20_000
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first bytes are those of a MATLAB file, or of an HDF5 file."""
-    return first.startswith((b"MATLAB", b"\x89HDF"))
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

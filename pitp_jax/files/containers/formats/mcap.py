@@ -20,6 +20,7 @@ from ..table import Column, Parts, Table
 
 kind, remedy = "a robot log", "record it again"
 suffixes = (".mcap",)
+begins = (b"",)  # a folder has no first bytes, and the library refuses other files
 _OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own, not signals of a machine
 _LONGEST = 256  # entries of an array that become columns; images and scans are longer
 _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messages
@@ -28,11 +29,6 @@ _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messag
     (r"\.angular(_velocity)?\.[xyz]$", "rad/s"), (r"\.linear_acceleration\.[xyz]$", "m/s2"),
     (r"\.torque\.[xyz]$", "N m"),
 )  # fmt: skip
-
-
-def sniff(first: bytes) -> bool:
-    """Return True: a folder has no first bytes, and the library refuses other files."""
-    return True
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

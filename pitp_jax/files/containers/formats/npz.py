@@ -13,11 +13,7 @@ from ..table import Parts, array_table
 
 kind, remedy = "a NumPy archive", "save it with numpy.savez"
 suffixes = (".npz",)
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first bytes are those of a zip archive."""
-    return first.startswith(b"PK")
+begins = (b"PK",)
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

@@ -17,12 +17,8 @@ if TYPE_CHECKING:
 
 kind, remedy = "a Parquet file", "write it again"
 suffixes = (".parquet",)
+begins = (b"PAR1",)
 _LONGEST = 256  # entries of a list that become columns; images and scans are longer
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first bytes are those of a Parquet file."""
-    return first.startswith(b"PAR1")
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

@@ -12,11 +12,7 @@ from ..table import Parts, array_table
 
 kind, remedy = "a TDMS file", "export it from LabVIEW again"
 suffixes = (".tdms",)
-
-
-def sniff(first: bytes) -> bool:
-    """Return whether the first bytes are those of a TDMS segment."""
-    return first.startswith(b"TDSm")
+begins = (b"TDSm",)
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

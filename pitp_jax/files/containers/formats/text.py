@@ -30,6 +30,7 @@ from .signatures import SIGNATURES
 
 kind, remedy = "a text", "save it as CSV"
 suffixes = tuple(f"{name}{end}" for end in (".gz", "") for name in (".csv", ".txt", ".dat", ".tsv", ".lvm"))
+begins = (b"",)  # any bytes may be a text, until it is read
 COMMENTS = ("#", "%", "//", "!")
 _ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
 _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
@@ -48,11 +49,6 @@ _CUTS = tuple(map(re.compile, (r"\s{2,}|\t", r"[,;]", r"(?<=[\])}])\s+", r"\s+")
 _DECIMAL = re.compile(rb"(?<!\d)0+,\d|\d,\d{1,2}(?!\d)|\d,\d{4}")  # not a comma between thousands
 _DATE = re.compile(rb"(?<![\d.])\d{1,4}([-./])\d{1,2}\1\d{2,4}(?![\d.])")
 _DURATION = re.compile(r"[+-]?[\d.,]++(?:[eE][+-]?\d++)?\s+(\S+)$")
-
-
-def sniff(first: bytes) -> bool:
-    """Return True: any bytes may be a text, until it is read."""
-    return True
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:
