@@ -269,7 +269,7 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
         clocks = [s for s in clocks if rule(s)] or clocks
     seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
     first = seconds[clocks[0].place]
-    if len(clocks) > 1 and all(_agree(first, other) for other in seconds.values()):
+    if len(clocks) > 1 and all(agree(first, other, 0.5, shifted=True) for other in seconds.values()):
         # one that certainly counts seconds first
         asked = {s.place: s.kind is None and clock_question(values[s.place], "") is not None for s in clocks}
         clocks = [min(clocks, key=lambda s: (asked[s.place], float(np.nanmax(np.abs(seconds[s.place])))))]
@@ -282,11 +282,20 @@ def _ticks(values: np.ndarray) -> bool:
     return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
 
 
-def _agree(first: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two clocks (s) differ only by a constant, to half a time step."""
+def agree(first: np.ndarray, other: np.ndarray, within: float, *, shifted: bool = False) -> bool:
+    """Return whether two clocks (s) differ by no more than a fraction of a time step.
+
+    Args:
+        first: shape (T,); nan where empty.
+        other: the other clock.
+        within: the fraction.
+        shifted: whether they may also differ by a constant.
+    """
     if len(first) != len(other) or not np.isfinite(first).any() or np.isinf(first).any() or np.isinf(other).any():
         return False
-    return float(np.nanmax(first - other) - np.nanmin(first - other)) <= 0.5 * float(np.nanmedian(np.diff(first)))
+    apart = first - other
+    apart -= np.nanmin(apart) * shifted
+    return len(first) < 2 or float(np.nanmax(np.abs(apart))) <= within * float(np.nanmedian(np.diff(first)))
 
 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:

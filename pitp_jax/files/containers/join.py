@@ -15,7 +15,7 @@ import numpy as np
 from ...common.errors import BadInput, cleaned
 from ...common.units import column_names, to_base
 from ...method.signal.checks import sample
-from .choice import choose_columns
+from .choice import agree, choose_columns
 from .formats import open_parts, split_suffix
 from .formats.text import single_column
 from .header import NoTable
@@ -54,7 +54,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
     """
     clocks = [_clock(table, options) for table in tables]
     first = next((clock for clock in clocks if clock is not None), None)
-    same = [clock is None or first is None or _agree(clock[1], first[1]) for clock in clocks]
+    same = [clock is None or first is None or agree(clock[1], first[1], 0.1) for clock in clocks]
     sizes = [_rows(table) for table in tables]
     if all(same) and len(set(sizes)) == 1:
         # one clock is enough
@@ -86,13 +86,6 @@ def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
     if choice.place is None:
         return None
     return choice.place, to_base(table.load([choice.place])[0], choice.unit)
-
-
-def _agree(first: np.ndarray, other: np.ndarray) -> bool:
-    """Return whether two clocks (s) are equal, to a tenth of a time step."""
-    if len(first) != len(other) or np.isinf(first).any() or np.isinf(other).any():
-        return False
-    return len(first) < 2 or float(np.nanmax(np.abs(first - other))) <= 0.1 * float(np.nanmedian(np.diff(first)))
 
 
 def _side_by_side(tables: Sequence[Table], dropped: dict[int, int]) -> Table:

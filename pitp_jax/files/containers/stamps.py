@@ -90,9 +90,5 @@ def _hours(series) -> np.ndarray:
     parts = series.str.split(":", expand=True).astype(np.float64).to_numpy()
     if parts.shape[1] == 2:
         raise ValueError("hours and minutes, or minutes and seconds")
-    return over_midnight(parts @ np.array([3600.0, 60.0, 1.0]))
-
-
-def over_midnight(values: np.ndarray) -> np.ndarray:
-    """Continue seconds of the day after midnight, so that they do not restart at 0."""
+    values = parts @ np.array([3600.0, 60.0, 1.0])
     return values + _DAY * np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY / 2)

@@ -131,8 +131,7 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
         return values if values is not None else _rows(body, layout, places, encoding, source, place)
 
     def texts(k: int) -> np.ndarray:
-        rows = csv.reader(body.decode(encoding, "replace").split("\n"), delimiter=layout.separator)
-        return np.array([row[k].strip() if k < len(row) else "" for row in rows])
+        return np.array([row[k] if k < len(row) else "" for row in _split(body, layout, encoding)])
 
     parts = [f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
     parts += ["decimal comma"] if layout.decimal == "," else []
@@ -413,25 +412,22 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
     # quotes around numbers only slow the parser down
     if b'"' in body:
         body = body.replace(b'"', b"")
-    words = [k for k in places if layout.columns[k].form in ("stamp", "duration")]
+    forms = {k: layout.columns[k].form for k in places}
+    if "duration" in forms.values():
+        return None
     try:
         frame = pd.read_csv(
             io.BytesIO(body), header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
             sep=r"\s+" if layout.separator == " " else layout.separator, decimal=layout.decimal, encoding=encoding,
-            dtype={k: str if k in words else np.float64 for k in places}, index_col=False, skip_blank_lines=False,
-            skipinitialspace=b" " in body or b"\t" in body,
+            dtype={k: str if form == "stamp" else np.float64 for k, form in forms.items()}, index_col=False,
+            skip_blank_lines=False, skipinitialspace=b" " in body or b"\t" in body,
         )  # fmt: skip
         last = frame.get(layout.width - 1)
         # the C parser fills short rows silently: none is short where the last column is whole
         marks = body.count(layout.separator.encode()) == len(frame) * (layout.width - 1)
         if not (last is not None and marks and last.notna().all()) and not _rectangular(body, layout):
             return None
-        columns = [frame[k] for k in places]
-        if any(layout.columns[k].form == "duration" for k in words):
-            return None
-        return [
-            seconds(list(c)) if k in words else c.to_numpy(np.float64) for k, c in zip(places, columns, strict=True)
-        ]
+        return [seconds(list(frame[k])) if forms[k] == "stamp" else frame[k].to_numpy(np.float64) for k in places]
     except (ValueError, OverflowError, pd.errors.ParserError):
         return None
 
