@@ -211,3 +211,19 @@ def test_a_motor_without_a_resonance_is_not_to_be_sampled_faster():
         record = pitp.Record("steps", time, drive, y, voltage_unit="V", displacement_unit="rad")
         told.append(any("samples in a period" in line for line in pitp.check([record]).advice))
     assert told == [False, True]
+
+
+def test_advice_on_a_resonance_needs_a_resonance():
+    """A lag behind a dead time, an integrator and a copy of the input have none; the mode of the good set stays."""
+    time = np.arange(2000) / 50
+    drive = np.sin(2 * np.pi * (0.05 * time + 0.02 * time**2))
+    held = np.repeat(np.random.default_rng(1).uniform(-1, 1, 40), 50)
+    for denominator, late in (([1.2, 1.0], 20), ([0.3, 1.0, 0.0], 0), ([1e-6, 1.0], 0)):
+        records = []
+        for name, u in (("sweep", drive), ("steps", held)):
+            y = lsim(([1.0], denominator), np.r_[np.zeros(late), u][: len(u)], time)[1]
+            y += 1e-3 * y.std() * np.random.default_rng(0).standard_normal(len(y))
+            records.append(pitp.Record(name, time, u, y, voltage_unit="V", displacement_unit="rad"))
+        found = pitp.check(records)
+        assert found.resonance_hz is None and found.coverage is None
+        assert not any("resonance" in line for line in found.advice)

@@ -23,7 +23,7 @@ from pitp_jax.method.simulate.decoder import at_rest, rest_state, rollout, rollo
 from pitp_jax.method.simulate.prediction import predict
 from pitp_jax.method.train import refine as refining
 from pitp_jax.method.train.dataset import build_dataset
-from pitp_jax.method.train.refine import lower_bound, refine
+from pitp_jax.method.train.refine import HeldOut, lower_bound, refine
 
 DT, SAMPLES, TAU = 2e-3, 900, 0.012  # s; 0.4 / omega_0
 TIME = np.arange(SAMPLES) * DT
@@ -70,7 +70,7 @@ def refined(plant, start):
     """All that one refinement yields and reports."""
     lines = []
     model, data = start
-    return list(refine(model, data, plant[1], 25, lambda *line: lines.append(line))), lines
+    return list(refine(model, data, HeldOut(plant[1]), 25, lambda *line: lines.append(line))), lines
 
 
 def error(model, records):
@@ -92,8 +92,9 @@ def test_a_planted_lag_is_found(plant, start, refined):
 def test_every_step_goes_down_and_is_told(refined):
     steps, lines = refined
     assert [e["stage"] for _, e in steps] == sorted((e["stage"] for _, e in steps), reverse=True)
-    assert {e["stage"] for _, e in steps} == {"short runs", "free runs"}  # no longer windows where these were enough
-    for stage in ("short runs", "free runs"):
+    # no longer windows where these were enough
+    assert {e["stage"] for _, e in steps} == {"short runs", "partial runs", "free runs"}
+    for stage in ("short runs", "partial runs", "free runs"):
         errors = [e["error"] for _, e in steps if e["stage"] == stage]
         told = [line for line in lines if line[0] == stage]
         assert (np.diff(errors) <= 0).all()
@@ -187,7 +188,7 @@ def test_a_diverging_start_is_scaled_down(plant, start, runaway):
     encoder, wild = (of_kind(CompactEncoder, m.encoder) for m in (tamed, runaway))
     assert float(encoder.fading[0, 0] / wild.fading[0, 0]) < 0.5
     np.testing.assert_array_equal(encoder.bounds, wild.bounds)
-    found = list(refine(runaway, start[1], plant[1], 2, quiet))
+    found = list(refine(runaway, start[1], HeldOut(plant[1]), 2, quiet))
     assert not lost(found[-1][0], runs)
 
 
@@ -213,8 +214,44 @@ def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monke
     monkeypatch.setattr(refining, "_descend", descend)
     monkeypatch.setattr(refining, "_nearest", lambda model, batches, how: model)
     monkeypatch.setattr(refining, "_miss", lambda model, batches, how: miss if batches[0].own_zero is not None else 1.0)
-    list(refine(start[0], start[1], plant[1], 1, quiet))
-    assert sizes == [("short runs", 100), ("longer runs", 400), ("free runs", SAMPLES)][:: 1 if longer else 2]
+    list(refine(start[0], start[1], HeldOut(plant[1]), 1, quiet))
+    whole = [("partial runs", SAMPLES), ("free runs", SAMPLES)]
+    assert sizes == [("short runs", 100), *[("longer runs", 400)] * longer, *whole]
+
+
+def test_held_out_blocks_choose_the_model_and_fit_nothing(plant, start, monkeypatch):
+    """A third of a record, never its beginning. Of four scores the last fit starts at the least."""
+    held_out = HeldOut(plant[1])
+    gone = [np.isnan(r.displacement) & o.observed for r, o in zip(held_out.rest, plant[1], strict=True)]
+    assert all(0.28 < g.mean() < 0.35 and not g[: SAMPLES // 9].any() for g in gone) and not (gone[0] & gone[1]).any()
+    models = [eqx.tree_at(lambda m: m.drive.log_tau, start[0], jnp.float32(k)) for k in range(4)]
+    scores = dict(zip(range(4), (3.0, 1.0, 2.0, 2.5), strict=True))
+    fits = []
+
+    def descend(model, batches, count, stage, how):
+        fits.append((stage, float(model.drive.log_tau), batches[0].weight))
+        yield from ((m, {"stage": stage}) for m in models if stage == "partial runs")
+
+    monkeypatch.setattr(refining, "_descend", descend)
+    monkeypatch.setattr(refining, "_nearest", lambda model, batches, how: model)
+    monkeypatch.setattr(refining, "_miss", lambda *_: 1.0)
+    monkeypatch.setattr(HeldOut, "score", lambda self, model: scores.get(float(model.drive.log_tau), 9.0))
+    steps = list(refine(start[0], start[1], held_out, 9, quiet))
+    assert [e["held_out"] for _, e in steps] == [3.0, 1.0, 1.0, 1.0] and steps[-1][0] is models[1]
+    (_, _, partial), (stage, tau, whole) = fits[-2:]
+    assert (stage, tau) == ("free runs", 1.0)
+    assert not (np.asarray(partial) * np.stack(gone)).any() and (np.asarray(whole)[np.stack(gone)] > 0).all()
+
+
+def test_the_score_is_the_error_on_held_out_blocks(plant, start):
+    """By hand: mean log of the mean square, about a reading shifted by 1 mm there alone."""
+    held_out = HeldOut(plant[1])
+    gone = [np.isnan(r.displacement) & o.observed for r, o in zip(held_out.rest, plant[1], strict=True)]
+    runs = predict(start[0], held_out.rest)
+    shifted = [replace(r, displacement=r.displacement + 1e-3 * g) for r, g in zip(plant[1], gone, strict=True)]
+    squares = [np.mean((p.displacement - r.displacement)[g] ** 2) for p, r, g in zip(runs, shifted, gone, strict=True)]
+    assert HeldOut(shifted).score(start[0]) == pytest.approx(np.mean(np.log(squares)), rel=1e-6)
+    assert HeldOut(shifted).score(start[0]) > held_out.score(start[0]) + 1
 
 
 @pytest.mark.parametrize(("kept", "steps"), [(0.992, 5), (0.988, 20)])
@@ -231,7 +268,7 @@ def test_no_start_at_all_is_told(plant, start):
     """Where the linear nominal is lost too there is nothing to step down from."""
     broken = eqx.tree_at(lambda m: m.coefficients, start[0], start[0].coefficients * jnp.array([1.0, jnp.nan, 1.0]))
     with pytest.raises(ComputationFailed, match="diverged before refinement"):
-        list(refine(broken, start[1], plant[1], 3, quiet))
+        list(refine(broken, start[1], HeldOut(plant[1]), 3, quiet))
 
 
 @pytest.mark.parametrize(("hz", "every"), [(0.2, 8), (5.0, 8), (20.0, 2), (100.0, 1)])
@@ -255,7 +292,7 @@ def squares(net):
 def test_firm_nets_stay_small(plant, start):
     """Firmness holds the nets of spring and damping, and nothing else."""
     model, data = start
-    ends = (list(refine(model, data, plant[1], 6, quiet, firmness=f))[-1][0] for f in (1e-4, 1.0))
+    ends = (list(refine(model, data, HeldOut(plant[1]), 6, quiet, firmness=f))[-1][0] for f in (1e-4, 1.0))
     loose, firm = (of_kind(CompactEncoder, m.encoder) for m in ends)
     assert squares(firm.spring) < 0.3 * squares(loose.spring)
     assert squares(firm.damping) < 0.3 * squares(loose.damping)

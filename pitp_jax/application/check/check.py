@@ -78,7 +78,7 @@ class Check(Shown):
     Attributes:
         records: by name; one that could not be read holds its refusal as a problem.
         advice: on the set, one sentence each, the most important first.
-        resonance_hz: of the linear fit; None if no fit was possible.
+        resonance_hz: of a pole pair that the frequency response needs; None without one.
         input_map: "square" or "linear": the force was taken as the square of the input or as the input.
         coverage: excited frequencies and amplitudes, one point a time window; None without a resonance.
         repeats: groups of recordings with the same input, each with the scatter of their outputs.
@@ -148,7 +148,7 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     # Only these describe the set: one rate, one kind of output, moving under an input.
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     fitted = fit_set(used) if used else None
-    resonance, input_map = (fitted.natural_hz, fitted.input_map) if fitted else (None, "square")
+    resonance, input_map = (fitted.peak_hz, fitted.input_map) if fitted else (None, "square")
     rows = {r.name: _row(r, own[r.name], fitted) for r in records}
     turned = _turned(rows)
     more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart

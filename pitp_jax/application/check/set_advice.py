@@ -10,7 +10,6 @@ from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
 
-_PEAKS = 0.5**0.5  # damping below which a mode has a resonance peak
 _PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
 _STDERRS = 4.0  # combined standard errors by which two offsets differ, and 0.2 % of range
 _SMALL = 0.002
@@ -53,8 +52,7 @@ def set_advice(
     if cover is not None:
         lines += cover.advice()
         per = 1 / (cover.resonance * used[0].dt)
-        # without a peak there is no period to sample
-        if per < _PER_PERIOD and (fitted is None or fitted.damping < _PEAKS):
+        if per < _PER_PERIOD:
             lines.append(
                 f"{per:.1f} samples in a period of the resonance at {cover.resonance:.3g} Hz are few; sample at "
                 f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"

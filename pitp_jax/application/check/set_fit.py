@@ -14,9 +14,13 @@ import numpy as np
 
 from ...common.errors import BadInput, ComputationFailed
 from ...method.identify.beginnings import find_beginnings, start_beside
+from ...method.identify.frequency_fit import PEAK, needs_resonance
+from ...method.identify.frequency_response import frequency_response
 from ...method.identify.linear_ode import coast, logs_from_roots, respond
+from ...method.identify.output_error import build_problem
 from ...method.model.input_map import INPUT_MAPS
 from ...method.numerics.coloured_noise import project
+from ...method.signal.excitation_kind import kind
 from ...method.signal.initial_state import Beginning
 from ...method.signal.preprocess import force_band
 from ...method.signal.record import Record
@@ -61,10 +65,18 @@ class Beside:
 
 @dataclass(frozen=True)
 class SetFit:
-    """The linear model that all records share: frequency (Hz), damping, residual, input map, compared records."""
+    """The linear model that all records share.
+
+    Attributes:
+        natural_hz: of its pole pair, or of the geometric mean of its real poles.
+        peak_hz: of a resonance that the frequency response needs (`frequency_fit`); None without one.
+        unexplained: its residual, of the output's deviation.
+        input_map: "square" or "linear".
+        records: compared with it, by name.
+    """
 
     natural_hz: float
-    damping: float
+    peak_hz: float | None
     unexplained: float
     input_map: str
     records: dict[str, Beside]
@@ -107,8 +119,14 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
     except (BadInput, ComputationFailed, np.linalg.LinAlgError):
         return None
     (first, second), rows = best[0][:2], best[1]
-    natural, damping = float(np.exp(second / 2) / (2 * np.pi)), float(np.exp(first - second / 2) / 2)
-    return SetFit(natural, damping, _usual(rows), input_map, dict(zip([r.name for r in records], rows, strict=True)))
+    natural, peaks = float(np.exp(second / 2) / (2 * np.pi)), np.exp(first - second / 2) / 2 < PEAK
+    belong = [k for k, row in enumerate(rows) if not row.strange] or list(range(len(rows)))
+    # beside its line, a sine shows the response at the frequencies of its leakage only
+    belong = [k for k in belong if kind(records[k]) != "sine"] or belong
+    problem = build_problem([small[k] for k in belong], "linear", [rows[k].beginning for k in belong])
+    needed = peaks and needs_resonance(frequency_response(problem), problem.dt)
+    named = {r.name: row for r, row in zip(records, rows, strict=True)}
+    return SetFit(natural, natural if needed else None, _usual(rows), input_map, named)
 
 
 def _beside_poles_of(kept: set[int], small, step: int) -> tuple[np.ndarray, list[Beside]] | None:

@@ -138,5 +138,6 @@ def _identified(records, order, **how) -> Identification:
     say(f"identified order {identified.model.order}")
     if order == "auto" and trains_from_order_two(identified):
         say("order 2 predicts as well, and training cannot add the mass that order 1 lacks: identifying order 2")
+        how["input_map"] = identified.model.input_map.name
         identified = identify(sweeps or records, order=2, progress=say, **how)
     return identified

@@ -8,6 +8,7 @@ import numpy as np
 
 from ...common.errors import ComputationFailed
 from ...common.metrics import e_rms_percent, nrmse_percent, rmse
+from ...common.quantity import Quantity, Units
 from ...common.units import from_base
 from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.model.expected_error import Expected, expected_error
@@ -17,7 +18,7 @@ from ...method.simulate.prediction import Prediction
 from ...method.simulate.prediction import predict as run_predict
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
-from .recordings import open_both
+from .recordings import is_square, open_both
 from .reports import listed, print_sensors
 
 _CERTAIN = 0.9  # probability of a record's start; a smaller one is printed
@@ -61,7 +62,8 @@ def predict(model, records, out, json_file, reading) -> None:
             f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "
             "error may come from this; record a second of rest at 0 V first"
         )
-    print_sensors(_sensors(read_in, predictions), read_in[0].displacement_unit)
+    units = Units(Quantity(read_in[0].voltage_unit), Quantity(read_in[0].displacement_unit), is_square(loaded))
+    print_sensors(_sensors(read_in, predictions), units)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(
             f"{model} diverged on every recording; check units and columns, or train on more recordings of this kind"

@@ -85,13 +85,16 @@ def print_beginnings(beginnings: dict[str, Beginning], units: Units) -> None:
             f"No recording starts at rest at 0 {units.input.unit}: the sensor's reading there is extrapolated by the "
             "model."
         )
-    print_sensors(beginnings, units.output.unit)
+    print_sensors(beginnings, units)
 
 
-def print_sensors(beginnings: dict[str, Beginning], unit: str) -> None:
+def print_sensors(beginnings: dict[str, Beginning], units: Units) -> None:
     """Print which records have a reversed sensor, and the sensor offsets if they differ between records."""
-    if reversed_ones := [name for name, b in beginnings.items() if b.direction < 0]:
-        print(f"reversed sensor (its reading decreases as the actuator extends): {listed(reversed_ones)}")
+    turned, unit = [name for name, b in beginnings.items() if b.direction < 0], units.output.unit
+    if turned and units.squared:
+        print(f"reversed sensor (its reading decreases as the actuator extends): {listed(turned)}")
+    elif 0 < len(turned) < len(beginnings):
+        print(f"output that decreases as the input increases: {listed(turned)}")
     if len({b.group for b in beginnings.values()}) > 1:
         rows = []
         for name, b in beginnings.items():

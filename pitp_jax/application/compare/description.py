@@ -85,5 +85,6 @@ def sensor_line(model: Fitted) -> str:
     line = f"The sensor reads {units.output.text(float(model.output.offset))} at 0 {units.input.unit}"
     if model.output.polarity > 0:
         return f"{line}."
-    motion = "as the actuator extends" if units.squared else f"as the {units.input_word} increases"
-    return f"{line} and decreases {motion} (reversed sensor)."
+    # behind a linear input the sign of the gain is a matter of wiring
+    how = "the actuator extends (reversed sensor)" if units.squared else f"the {units.input_word} increases"
+    return f"{line} and decreases as {how}."

@@ -4,8 +4,8 @@
 
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
-Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
-optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
+Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it
+(`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
 (`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
@@ -28,6 +28,7 @@ from ..model.lineage import descended
 from ..model.model import Hold, Output, linear_model
 from ..model.origin import Origin, OutOfFold
 from ..model.substeps import substeps
+from ..signal.excitation_kind import only_frequency
 from ..signal.excited import Table
 from ..signal.initial_state import INITIAL_SAMPLES, Beginning, aligned, noise_std, rest_level
 from ..signal.long_record import thinned
@@ -36,13 +37,14 @@ from ..signal.reduced import averaged, block_size
 from ..signal.sets import check_set
 from .beginnings import find_beginnings
 from .candidates import NEAR, choose, search
-from .explained import explains
+from .explained import explains, is_noise
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
 from .heldout import Candidate, out_of_fold
+from .numerator import needed_zeros
 from .order_fit import OrderFit, covariance, describe, zero_of
 from .output_error import Problem, build_problem, check_motion, driven, least_squares, own_columns, solve
-from .remarks import refusal, remarks, unstable_line
+from .remarks import UNSTABLE, refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
@@ -54,6 +56,8 @@ _NONE = (
     "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
     "that the input and output columns belong together"
 )
+_USELESS, _CLEARLY = 10.0, 0.5  # % of the deviation, held out: the other input map is tried; what it must leave
+_ALIKE = 1.2  # ratio of frequencies below which they count as one
 _HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
 
@@ -70,7 +74,8 @@ class Identification(Shown):
         residuals: whether the residual is white and uncorrelated with the input.
         remarks: open questions after these records, one sentence each.
         explains: whether any order explains a tenth of the output's rms on held-out blocks.
-        warning: a sentence if the model explains little, or the input follows from the output.
+        warning: a sentence if the model explains little, the input follows from the output or has one frequency, or the
+            plant has zeros.
     """
 
     model: Fitted
@@ -143,7 +148,8 @@ def identify(
     Args:
         records: recordings of one actuator (a sweep, or any set that excites it).
         order: 1 to 6, or "auto": the fewest poles and delays whose held-out error is within 3 % of the smallest.
-        input_map: "square" (F = u^2), "linear" (F = u), or None: square for a voltage with a length, otherwise linear.
+        input_map: "square" (F = u^2), "linear" (F = u), or None: square for a voltage with a length, otherwise linear;
+            or the other one if it leaves less than half the error on held-out blocks.
         hold: "foh", "zoh", "bandlimited", or None for the one with the smallest error: foh or zoh, or bandlimited if it
             is better by 0.3 %.
         learn: ("delay",) to keep a pure delay between input and motion in any case; it is an effect of the model.
@@ -165,8 +171,58 @@ def identify(
     """
     _check_options(order, input_map or "square", hold, learn, leave_out)
     check_set(records)
-    input_map = input_map or usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
     check_motion(records)
+    usual = input_map or usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    how = {"order": order, "hold": hold, "learn": learn, "leave_out": leave_out, "progress": progress}
+    first = _attempted(records, usual, **how)
+    if isinstance(first, ComputationFailed) and order != "auto":  # another map adds no excitation
+        raise first
+    if isinstance(first, Identification) and first.chosen.heldout <= _USELESS:
+        return first
+    name = next(n for n in INPUT_MAPS if n != usual)
+    tested = usual == "square" or input_map is None
+    other = _attempted(records, name, **{**how, "progress": lambda _: None}) if tested else first
+    return _better(first, other, name, given=input_map is not None)
+
+
+def _attempted(records: Sequence[Record], input_map: str, **how) -> "Identification | ComputationFailed":
+    try:
+        return _identified(records, input_map, **how)
+    except ComputationFailed as failed:
+        return failed
+
+
+def _better(first, other, name: str, *, given: bool) -> Identification:
+    """Return the first identification, or that with the other input map where it leaves clearly less error.
+
+    Where the map was given, it stays. No plant is called unstable that is stable with the other map.
+    """
+    if not isinstance(other, Identification):
+        if isinstance(first, ComputationFailed):
+            raise first
+        return first
+    failed = isinstance(first, ComputationFailed)
+    said, left = ((str(first),), np.inf) if failed else (first.remarks, first.chosen.heldout)
+    unstable = any(UNSTABLE in line for line in said) and not any(UNSTABLE in line for line in other.remarks)
+    better = other.explains and other.chosen.heldout < _CLEARLY * left
+    if not better and not unstable:
+        if failed:
+            raise first
+        return first
+    line = f"With --input-map {name}, {other.chosen.heldout:.2g} % of the output's deviation remains unexplained on "
+    line += "held-out blocks" if failed else f"held-out blocks, and {left:.2g} % with the other map"
+    if better and not given:
+        return replace(other, remarks=(f"{line}: {name} was chosen.", *other.remarks))
+    if failed:
+        raise ComputationFailed(f"{_NONE}. {line}")
+    return replace(first, remarks=(f"{line}.", *(said if not unstable else ())))
+
+
+def _identified(
+    records: Sequence[Record], input_map: str, order: int | str, hold: Hold | None, learn: Sequence[str],
+    leave_out: Sequence[str], progress: Callable[[str], None],
+) -> Identification:  # fmt: skip
+    """Identify under one input map, as `identify` describes it."""
     begun, roots, misfit = find_beginnings(records, input_map)
     finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
     whole = build_problem(records, input_map, begun)
@@ -187,12 +243,30 @@ def identify(
     begun = _fitted(begun, chosen, whole)
     own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
     errors = _errors(chosen, whole)
-    said = tuple(remarks(fit, chosen, small, every=order == "auto"))
     explained, warning = explains(chosen, candidates, whole)
+    wrong = _wrong_structure(records, chosen, small, response)
+    said = () if wrong else tuple(remarks(fit, chosen, small, every=order == "auto"))
+    if wrong:  # its reason comes first, and its numbers belong to no plant
+        warning, fit = wrong, replace(fit, identifiable=False)
+        orders = tuple(replace(o, identifiable=False) for o in orders)
     model = descended(_to_model(fit, records, begun, input_map, own, errors, said), "identify", records)
     names = [r.name for r in records]
     beginnings = dict(zip(names, begun, strict=True))
     return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
+
+
+def _wrong_structure(
+    records: Sequence[Record], chosen: Candidate, problem: Problem, response: FrequencyResponse
+) -> str | None:
+    """Write why the coefficients are not those of the plant: it has zeros, or the input has one frequency only."""
+    lines = [] if problem.square else [hz for r in records if (hz := only_frequency(r))]
+    if len(lines) == len(records) and max(lines) < _ALIKE * min(lines):
+        return (
+            f"The input is a sine of one frequency, {lines[0]:.3g} Hz, which determines two numbers: order and "
+            "coefficients are not determined. Add steps, a sweep or a second frequency"
+        )
+    zeros = None if is_noise(problem) else needed_zeros(chosen, problem, response)
+    return None if zeros is None else str(zeros)
 
 
 def _check_options(

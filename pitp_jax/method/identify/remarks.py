@@ -15,6 +15,7 @@ from .order_fit import OrderFit
 from .output_error import FASTEST, Problem, driven, own_columns, solve
 from .unstable import unstable_pole
 
+UNSTABLE = "The plant is unstable"
 _BOUND = 0.97  # fraction of a bound: a fit beyond it counts as stopped there
 _WEAK = 0.1  # standard error of a coefficient above which a combination is reported as weak
 _PART = 0.3  # fraction of a combination below which a coefficient does not belong to it
@@ -82,7 +83,7 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
     pole, rms = better
     where = f"{pole.real:.3g} 1/s" if not pole.imag else f"{pole.real:.3g} +- {pole.imag:.3g}j 1/s"
     return (
-        f"The plant is unstable: with a pole at +{where}, {100 * rms:.2g} % of the motion remains unexplained, with "
+        f"{UNSTABLE}: with a pole at +{where}, {100 * rms:.2g} % of the motion remains unexplained, with "
         f"the best stable model {100 * error:.2g} %, so its free runs diverge. Identify the closed loop instead, with "
         "its reference as the input and the same output."
     )

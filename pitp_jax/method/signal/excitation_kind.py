@@ -10,6 +10,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from ..numerics.coloured_noise import project
 from .record import Record
 
 _PARTS = 1000  # of a record, over which a step must be constant
@@ -19,6 +20,8 @@ _TURN = 0.05  # of the input's range, more than noise, by which it turns back
 _SEGMENTS = 16  # turning points at least of a sweep, and half the number of segments compared
 _SWEPT = 1.4  # ratio: an octave without its ends
 _DEVIATIONS = 3.7  # standard deviations of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
+_TRIED = 81  # frequencies within a line on either side
+_ELSEWHERE = 0.01  # of the energy of an input that counts as one sine
 _GOLDEN = (5**0.5 - 1) / 2
 
 
@@ -103,6 +106,20 @@ def _stands_still(u: np.ndarray, turns: np.ndarray) -> bool:
 def loudest(record: Record) -> float:
     """Return the frequency (Hz) of the strongest Fourier line of the input."""
     return float(np.argmax(spectrum(record)[1:]) + 1) / (record.samples * record.dt)
+
+
+def only_frequency(record: Record) -> float | None:
+    """Return the frequency (Hz) of an input that is one sine about a mean, to 1 % of its energy; None otherwise."""
+    u, time = record.voltage - record.voltage.mean(), np.arange(record.samples) * record.dt
+
+    def left(hz: float) -> float:
+        wave = np.exp(2j * np.pi * hz * time)
+        return float(np.sum(project(u, np.column_stack([wave.real, wave.imag, np.ones(len(u))]))[1] ** 2))
+
+    # a sine is off by at most an eightieth of a line, whose phase changes by 0.04 rad from the middle to the ends
+    tried = loudest(record) + np.linspace(-1, 1, _TRIED) / (record.samples * record.dt)
+    errors = [left(hz) for hz in tried if hz > 0]
+    return float(tried[tried > 0][np.argmin(errors)]) if min(errors) < _ELSEWHERE * float(u @ u) else None
 
 
 def spectrum(record: Record) -> np.ndarray:

@@ -3,13 +3,12 @@
     e_k = 100 rms(x - x_measured) / range_k,      s_k = 100 (standard deviation of the sensor's noise) / range_k
     a record is worse where    e_k(trained)^2 > (1.01 e_k(nominal))^2 + s_k^2
 
-Both errors contain the noise, so the difference of their squares is the error that training added. An addition below
-the noise does not reject a model whose mean error is smaller. A model with the better pooled log score, mean ln e_k, is
-kept although it is worse on a record. The better of two models is worse on fewer records, then
-has the smaller rms of e_k; a model that is worse on none but has the larger mean counts as worse on one.
+Both errors contain the noise, so the difference of their squares is the error that training added. A worse record is
+named, and decides nothing: the better of two models has the better pooled log score, mean ln e_k, of all samples and
+of blocks held out of its fit (the worse of both scores counts). No error counts below the noise.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,13 +79,17 @@ def percent_of(run: Prediction, record: Record) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A possible result of training: its errors, those of the nominal model, and the sensor's noise, % of range."""
+    """A possible result of training: its errors, those of the nominal model, and the sensor's noise, % of range.
+
+    `held_out`: the gain on blocks held out of a fit; infinite where there was none.
+    """
 
     model: Model
     names: tuple[str, ...]
     nominal: Float[np.ndarray, " records"]
     trained: Float[np.ndarray, " records"]
     noise: Float[np.ndarray, " records"]
+    held_out: float = np.inf
 
     @property
     def mean(self) -> float:
@@ -94,37 +97,20 @@ class Candidate:
         return _mean(self.trained)
 
     @property
-    def worse(self) -> Float[np.ndarray, " records"]:
-        """Return the trained model's error, divided by the largest acceptable one, shape (records,)."""
-        return np.minimum(self.trained, _DIVERGED) / np.clip(_allowed(self.nominal, self.noise), 1e-12, _DIVERGED)
-
-    @property
-    def rank(self) -> tuple[int, float]:
-        """Return (number of records worse than with the nominal model, mean error); smaller is better."""
-        worse = int((self.worse > 1).sum())
-        return worse or int(self.mean > _ALIKE * _mean(self.nominal)), self.mean
-
-    @property
     def converged(self) -> bool:
-        """Return whether training succeeded: no record is worse, and the error without noise is small or halved."""
-        return self.rank[0] == 0 and self._small
-
-    @property
-    def nearly(self) -> bool:
-        """Return whether the mean error is small, but some record is worse than with the nominal model."""
-        return self.rank[0] > 0 and self._small
-
-    @property
-    def _small(self) -> bool:
+        """Return whether training succeeded: it is better than the nominal, and the error is small or halved."""
         # without noise, which no model can reduce; otherwise a noisy set would never count as converged
         after, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
-        return after <= max(_LITTLE, _CLOSED * before)
+        return self.gain >= 0 and after <= max(_LITTLE, _CLOSED * before)
 
     @property
     def gain(self) -> float:
-        """Return the pooled log score over the nominal's: the mean log ratio of errors, none below the noise."""
+        """Return the pooled log score over the nominal's: the lower one of all samples and of held-out blocks.
+
+        It is the mean log ratio of errors, none below the noise.
+        """
         before, after = (np.clip(np.maximum(e, self.noise), 1e-12, _DIVERGED) for e in (self.nominal, self.trained))
-        return float(np.mean(np.log(before / after)))
+        return min(float(np.mean(np.log(before / after))), self.held_out)
 
     @property
     def errors(self) -> tuple[RecordError, ...]:
@@ -145,12 +131,12 @@ class Judge:
     noise: Float[np.ndarray, " records"]
     hold: Hold = "foh"
 
-    def __call__(self, model: Model) -> Candidate:
+    def __call__(self, model: Model, held_out: float = np.inf) -> Candidate:
         """Simulate the model on all records, and return it as a candidate with its errors."""
         names = tuple(r.name for r in self.records)
         averaged = any(r.dt != model.dt for r in self.records)
         there = model.sampled(self.records[0].dt, self.hold) if averaged else model
-        return Candidate(model, names, self.nominal, errors(there, self.records), self.noise)
+        return Candidate(model, names, self.nominal, errors(there, self.records), self.noise, held_out)
 
 
 def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
@@ -159,37 +145,33 @@ def judge(nominal: Model | Fitted, records: Sequence[Record]) -> Judge:
     return Judge(records, errors(nominal, records), np.array(noise), fitted_of(nominal).hold)
 
 
-def kept(
-    best: Candidate, compare: Judge, between: Callable[[Model], Iterable[Model]]
-) -> tuple[Candidate, list[str], str | None]:
-    """Choose the trained model if its pooled log score is better; otherwise one that is worse on no record.
+def kept(best: Candidate, compare: Judge, nominal: Model) -> tuple[Candidate, list[str], str | None]:
+    """Choose the trained model if its pooled log score is not worse than the nominal's; otherwise the nominal.
 
     Return it, lines on records that are worse and on failures, and the name of a replacement.
 
-    `between`: models from this one towards the nominal, which comes last.
+    `nominal`: in the form of a trained model.
     """
-    chosen = best
     lost = ", ".join(
         f"{e.name} ({e.trained:.3g} % of range instead of {e.nominal:.3g})" for e in best.errors if e.worse
     )
-    if lost and best.gain > 0:
+    where, ratio = f"worse than the nominal model on {lost or 'held-out blocks'}", f"{np.exp(-best.gain):.2g}"
+    if not best.gain >= -np.log(_ALIKE):
+        what = "the nominal itself"
+        return compare(nominal), [
+            f"training failed: the best start is {where}, and over all recordings and held-out blocks its error is "
+            f"{ratio} times the nominal's (geometric mean), so {what} is returned. Run `pitp diagnose` to find the "
+            "missing effect"
+        ], what  # fmt: skip
+    if lost:
         return best, [
-            f"the trained model is worse than the nominal model on {lost}, and better over all recordings (a geometric "
-            f"mean of {np.exp(-best.gain):.2g} times its error): it is returned"
+            f"the trained model is {where}, and better over all recordings (a geometric mean of {ratio} times its "
+            "error): it is returned"
         ], None  # fmt: skip
-    if best.rank[0]:
-        tried = [compare(m) for m in between(best.model)]
-        # the nominal, last, is nowhere worse than itself, so there is always a result
-        good = [c for c in tried[:-1] if c.rank[0] == 0]
-        chosen = min(good, key=lambda c: c.mean) if good else tried[-1]
-        lost = lost or f"average ({best.mean:.3g} % of range instead of {_mean(best.nominal):.3g})"
-        what = "a model between it and the nominal" if good else "the nominal itself"
-        return chosen, [f"training failed: the best start is worse than the nominal model on {lost}, so {what} is "
-                        "returned. Run `pitp check` on these recordings, or leave them out"], what  # fmt: skip
-    if not chosen.converged:
-        both = f"the mean error is {chosen.mean:.3g} % of range, the nominal's {_mean(chosen.nominal):.3g} %"
-        return chosen, [f"training did not converge: {both}. Run `pitp diagnose` to find the missing effect"], None
-    return chosen, [], None
+    if not best.converged:
+        both = f"the mean error is {best.mean:.3g} % of range, the nominal's {_mean(best.nominal):.3g} %"
+        return best, [f"training did not converge: {both}. Run `pitp diagnose` to find the missing effect"], None
+    return best, [], None
 
 
 def _allowed(nominal, noise):

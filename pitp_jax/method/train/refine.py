@@ -4,7 +4,8 @@
     f_k = (1 + (100 s_min)^2) / (1 + (100 s_k)^2)        s_k: sensor noise over range, s_min the least in the set
 
 Levenberg-Marquardt (`accelerated`) runs in stages: windows of six periods from their filtered states, longer windows if
-whole records still have large errors, then whole records from their own initial states, as in predictions. Every stage
+whole records still have large errors, then whole records from their own initial states, as in predictions. These stages
+lack a third of every record, whose error decides when they end; the last stage fits all samples. Every stage
 first scales the logits, between zero (the nominal model) and the trained ones, to the smallest error. A network fitted
 to the equation error may be unstable, and no step can improve a diverged run. Creep slower than the runs is fitted in
 addition (`creep_balance`). Every trained parameter is free: encoder weights, time constants of memory and drive, and
@@ -17,7 +18,7 @@ Benefits and alternatives: docs/decisions/free_runs.md.
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -41,7 +42,7 @@ from ..signal.sets import alike
 from ..simulate import ports
 from ..simulate.beginnings import with_zero_at_rest
 from ..simulate.decoder import still_state
-from ..simulate.prediction import begin
+from ..simulate.prediction import begin, predict
 from .creep_balance import SlowBalance
 from .dataset import Dataset
 
@@ -51,7 +52,37 @@ _SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length
 _NEAR, _WORSE = 10.0, 3.0  # % of range, or times the windows' error, above which whole records are not fitted next
 _SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # factors on the logits at which a stage may start
 _PRIOR = 1e-4  # rho of every trained parameter except the weights of the spring and damping nets
+_HELD, _OF = 9, 3  # blocks of a record; one of so many is held out
+_DIVERGED = 1e4  # times the range; the error of a diverged run, so that a mean stays finite
 _PATIENCE, _SLOW = 5, 0.05  # stop when that many steps together lower the error by less than this fraction
+
+
+@dataclass(frozen=True)
+class HeldOut:
+    """A third of every record, in three blocks, never the first, and the score of a model on them."""
+
+    records: Sequence[Record]
+
+    @property
+    def rest(self) -> list[Record]:
+        """Return the records without their held-out blocks, which count as missing."""
+        return [replace(r, displacement=np.where(_held(r, k), np.nan, r.displacement))
+                for k, r in enumerate(self.records)]  # fmt: skip
+
+    def score(self, model: Model) -> float:
+        """Return the mean logarithm over records of the squared error on held-out blocks, none below the noise."""
+        logs = []
+        for k, (r, run) in enumerate(zip(self.records, predict(model, self.rest), strict=True)):
+            seen = _held(r, k) & r.observed & run.scored
+            error = float(np.mean((run.displacement - r.displacement)[seen] ** 2)) if seen.any() else 0.0
+            least, most = max(noise_std(r.displacement), 1e-6 * r.span), _DIVERGED * r.span
+            logs.append(np.log(np.clip(np.nan_to_num(error, nan=np.inf), least**2, most**2)))
+        return float(np.mean(logs))
+
+
+def _held(record: Record, place: int) -> np.ndarray:
+    """Mark the held-out samples of a record: of three blocks the second, in every other record the third."""
+    return np.arange(record.samples) * _HELD // record.samples % _OF == 1 + place % 2
 
 
 @dataclass(frozen=True)
@@ -69,37 +100,47 @@ class _How:
 def refine(
     model: Model,
     data: Dataset,
-    records: Sequence[Record],
+    held_out: HeldOut,
     count: int,
     report,
     *,
     firmness: float = _PRIOR,
     slow: SlowBalance | None = None,
     mesh: Mesh | None = None,
-    windows: bool = True,
-    emphasis: Float[np.ndarray, " records"] | None = None,
 ) -> Iterator[tuple[Model, dict]]:
     """Yield (model, history entry) after every optimiser step that lowers the simulation error.
 
     `firmness`: rho of the nets of spring and damping, in (1 %)^2; see `Settings`. `slow`: the slow balance to be fitted
-    as well. `windows`: whether windows are fitted first. `emphasis`: how often each whole record counts; default once.
+    as well. `held_out`: the records, and the blocks without which the model is fitted first, until their score no
+    longer improves. The entries of whole runs have the best score so far.
     """
+    records, rest = held_out.records, held_out.rest
     dt, period = records[0].dt, _period(model)
     how = _How(dt, report, firmness, slow, mesh, _spacing(period, dt))
     longest = max(r.samples for r in records) * dt / period  # in periods
-    periods, stage = _PERIODS, "short runs"
+    periods, stage, windows = _PERIODS, "short runs", True
     while windows:
-        runs = (_windows(model, data, records, periods),)
+        runs = (_windows(model, data, rest, periods),)
         for stepped, entry in _descend(_nearest(model, runs, how), runs, _SHORT_STEPS, stage, how):
             model = stepped
             yield stepped, entry
         periods, stage = _LONGER * periods, "longer runs"
         # a fit of windows is useless if whole records drift away from it
-        windows = 2 * periods < longest and _miss(model, _free(model, records), how) > max(
+        windows = 2 * periods < longest and _miss(model, _free(model, rest), how) > max(
             _NEAR, _WORSE * _miss(model, runs, how)
         )
-    free = _free(model, records, emphasis)
-    yield from _descend(_nearest(model, free, how), free, count, "free runs", how)
+    free = _free(model, rest)
+    first = best = _nearest(model, free, how)
+    scores = [held_out.score(first)]
+    for stepped, entry in _descend(first, free, count, "partial runs", how):
+        scores.append(held_out.score(stepped))
+        best = stepped if scores[-1] == min(scores) else best
+        yield best, {**entry, "held_out": min(scores)}
+        if _is_flat(scores):
+            break
+    free = _free(best, records)
+    for stepped, entry in _descend(best, free, count, "free runs", how):
+        yield stepped, {**entry, "held_out": min(scores)}
 
 
 def _problem(model: Model, batches: Sequence[Runs], how: _How) -> FreeRuns:
@@ -133,9 +174,13 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
         how.report(stage, k, count, cost, min(costs), remaining)
         if k:  # the first is the start itself
             yield with_parameters(model, runs.bound.parameters(vector)), {"stage": stage, "step": k, "error": cost}
-        settled = k >= _PATIENCE and costs[-1] > (1 - _SLOW) * costs[-1 - _PATIENCE]
-        if done or settled or k == count:
+        if done or _is_flat(np.log(costs).tolist()) or k == count:
             return
+
+
+def _is_flat(logs: Sequence[float]) -> bool:
+    """Return whether the last steps together lowered a cost by less than 5 %, from its logarithm after every step."""
+    return len(logs) > _PATIENCE and not logs[-1] < logs[-1 - _PATIENCE] + np.log(1 - _SLOW)
 
 
 def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:
@@ -227,12 +272,10 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
     return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
 
 
-def _free(
-    model: Model, records: Sequence[Record], emphasis: Float[np.ndarray, " records"] | None = None
-) -> tuple[Runs, ...]:
+def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
     """Prepare all records for simulation; beyond the budget, some whole and the beginnings of the others."""
     size = run_samples(records)
-    each = _record_weights(model, records) * (np.ones(len(records)) if emphasis is None else emphasis)
+    each = _record_weights(model, records)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
         sets = alike(records)  # by length, because padding to one length would be mostly padding
         sizes, parts = (

@@ -3,7 +3,7 @@
     stage j:  box [b^(j+1) y, a^(j+1) y],  n r^j epochs of Adam at learning rate lr c^j on eq. 12
     stop when a wider box no longer improves the physics residual (a score that does not depend on the box)
     then:     least squares on free runs (`refine`), with the memories' and the drive's time constants
-    then:     every training record compared with the nominal (`errors`); other starts if not converged
+    then:     held-out blocks and all records compared with the nominal (`errors`); other starts if not converged
 
 The equation error is quick but does not show errors that build up over a run; free runs fit exactly those
 (docs/readings.md, Algorithm 1).
@@ -41,10 +41,11 @@ from .creep_balance import OUTLASTS, SlowBalance, slow_balance
 from .dataset import Dataset, build_dataset, region_of
 from .equation_error import loss
 from .errors import Judge, RecordError, judge, kept
-from .refine import BUDGET, refine, run_samples
+from .refine import BUDGET, HeldOut, refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 
 _OPTIMISER = optax.scale_by_adam()
+_MORE = 0.05  # of the log score; another start that gains less is the last one
 _PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
 
 
@@ -95,9 +96,9 @@ def train(
 ) -> Training:
     """Train an encoder on records, with initial weights for which the model equals the nominal one.
 
-    The model has smaller errors than the nominal, pooled over the training records (mean logarithm); `problems` names
-    those on which it is over 1 % worse. If no start achieves this, the nominal is returned in the trained model's form,
-    and `fallback` reports it. Oversampled records are first averaged over blocks
+    The model has smaller errors than the nominal (mean logarithm over records), over all samples and on blocks held out
+    of its fit; `problems` names records on which it is over 1 % worse. If no start achieves this, the nominal is
+    returned in the trained model's form, and `fallback` reports it. Oversampled records are first averaged over blocks
     (`reduce_rate`); the model remains valid for their own rate.
 
     Args:
@@ -138,10 +139,12 @@ def train(
     records = [aligned(r, b, nominal.output) for r, b in zip(records, begun, strict=True)]
     data, slow = _prepared(nominal, parent.origin.long_record, records, settings)
     history: list[dict] = []
-    best, interrupted, began = None, False, time.monotonic()
+    best, gain, interrupted, began = None, np.inf, False, time.monotonic()
     try:
-        for model, entry in _attempts(nominal, data, slow, records, compare, settings, encoder, key, progress, mesh):
-            best = model
+        for found, score, entry in _attempts(
+            nominal, data, slow, records, compare, settings, encoder, key, progress, mesh
+        ):
+            best, gain = found, score
             history.append(entry)
     except KeyboardInterrupt:
         if best is None:
@@ -149,7 +152,7 @@ def train(
         interrupted = True  # the best model so far is returned after an interrupt, and marked as interrupted
     if best is None:
         raise BadInput("settings: no training stage; set stages to 1 or more")
-    chosen, problems, fallback = kept(compare(best), compare, lambda m: _between(m, nominal, data, settings))
+    chosen, problems, fallback = kept(compare(best, gain), compare, _bare(best, nominal, data, settings))
     if records[0].dt != seen[0].dt:  # trained on block means
         chosen = replace(chosen, model=chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
@@ -210,44 +213,44 @@ def _attempts(
     nominal, data: Dataset, slow: SlowBalance | None, records, compare: Judge, settings: Settings, own, key,
     progress, mesh: Mesh | None,
 ):  # fmt: skip
-    """Yield (best model so far, history entry) of the first training, and of others if it does not converge.
+    """Yield (best model so far, its held-out gain, history entry) of the first start, and of others as needed.
 
-    1: the stages on the equation error, then free runs. 2: if few records are worse than with the nominal, free runs
-    again, with those records weighted by their degradation. 3, 4, ...: free runs from the nominal itself, whose logits
-    are zero, with ten times firmer nets each time.
+    1: the stages on the equation error, then free runs. 2, 3, ...: free runs from the nominal itself, whose logits are
+    zero, from start 3 with ten times firmer nets each time. A start that no longer improves the score is the last.
     """
 
     def report(stage, step, steps, value, best, remaining):
         progress(Progress(stage, step, steps, None, value, best, remaining))
 
-    def refined(model: Model, firm: float = 1.0, **how):
+    def refined(model: Model, firm: float):
         firmness, steps = firm * firmness_of(settings, model, len(records)), settings.refine_steps
-        return refine(model, data, records, steps, report, firmness=firmness, slow=slow, mesh=mesh, **how)
+        return refine(model, data, held_out, steps, report, firmness=firmness, slow=slow, mesh=mesh)
 
     init, sub = jax.random.split(key)
     model = None
     for model, entry in _stages(with_encoder(data, settings, own, init), data, settings, sub, progress):
-        yield model, entry
+        yield model, np.inf, entry
     if model is None or not settings.refine_steps:
         return
-    model = with_parts(model, nominal, settings)
-    for step, entry in _until_lost(refined(model)):
-        model = step
-        yield step, entry
-    best, start = compare(model), 1
-    while not best.converged and start < settings.starts:
-        start += 1
-        if best.nearly:
-            again = refined(best.model, windows=False, emphasis=np.maximum(best.worse, 1.0) ** 2)
-        else:
+    held_out, best, model = HeldOut(records), None, with_parts(model, nominal, settings)
+    plain = held_out.score(_bare(model, nominal, data, settings))
+    for start in range(1, settings.starts + 1):
+        if start > 1:
             fresh = with_encoder(data, settings, own, jax.random.fold_in(init, start))
-            again = refined(with_parts(fresh, nominal, settings), 10.0 ** (start - 2))
-        ends = [best.model]
-        for ends[0], entry in _until_lost(again):
-            yield best.model, {**entry, "start": start}  # an interrupt returns the best, not an unfinished one
-        best = min(best, compare(ends[0]), key=lambda c: c.rank)
-    if start > 1:
-        yield best.model, {"stage": "best", "error": best.mean**2}
+            model = with_parts(fresh, nominal, settings)
+        gain = np.inf
+        for step, entry in _until_lost(refined(model, 10.0 ** max(start - 2, 0))):
+            model = step
+            gain = (plain - entry.get("held_out", -np.inf)) / 2
+            # an interrupt returns the best, not an unfinished one
+            yield (model, gain, entry) if best is None else (best.model, best.held_out, {**entry, "start": start})
+        found = compare(model, gain)
+        ends = best is not None and best.gain > 0 and found.gain < best.gain + _MORE
+        best = found if best is None else max(best, found, key=lambda c: c.gain)
+        if best.converged or ends:
+            break
+    if best is not None and start > 1:
+        yield best.model, best.held_out, {"stage": "best", "error": best.mean**2}
 
 
 def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
@@ -258,13 +261,11 @@ def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, di
         return
 
 
-def _between(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Iterator[Model]:
-    """Yield models between this one and the nominal model, which comes last, with zero logits and no electrode lag."""
-    for factor in (0.7, 0.4, 0.2):
-        yield replace(model, encoder=model.encoder.scaled(factor))
+def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Model:
+    """Return the nominal model in the form of a trained one: zero logits and no electrode lag."""
     start = replace(model, drive=data.model.drive, memory=data.model.memory)
     bare = with_parts(start, nominal, replace(settings, parts=(), drive="direct"))
-    yield replace(bare, encoder=model.encoder.scaled(0.0))
+    return replace(bare, encoder=model.encoder.scaled(0.0))
 
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
