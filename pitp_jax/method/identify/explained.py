@@ -73,36 +73,4 @@ def is_noise(problem: Problem) -> bool:
     for output, weight in zip(problem.output, problem.weight, strict=True):
         y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
         noise, moved = noise + count * float(noise_std(y)) ** 2, moved + count * float(np.nanvar(y))
-<<<<<<< HEAD
-    return float(np.sqrt(noise / max(moved, 1e-300)))
-=======
     return bool(noise > _NOISE**2 * moved)
-
-
-def _folded_left(problem: Problem) -> float:
-    """Return the smallest residual of a fit of |x| and x^2 to the output, as a fraction of the output's deviation.
-
-    x: linear responses with poles of a grid. If it is small, the sensor does not show the sign of the motion.
-    """
-    best = np.inf
-    for poles in _poles(problem):
-        missed = whole = 0.0
-        for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
-            run = respond(poles, drive, step=problem.dt, square=problem.square, hold="foh")
-            use = weight > 0
-            y = output[use] - output[use].mean()
-            columns = np.column_stack([np.abs(run), run**2, np.ones(len(run))])[use]
-            columns = columns / np.maximum(np.abs(columns).max(axis=0), 1e-300)
-            rest = y - columns @ np.linalg.lstsq(columns, y, rcond=None)[0]
-            missed, whole = missed + float(rest @ rest), whole + float(y @ y)
-        best = min(best, np.sqrt(missed / max(whole, 1e-300)))
-    return float(best)
-
-
-def _poles(problem: Problem) -> Iterator[np.ndarray]:
-    """Yield the logarithms of the pole coefficients of single lags and modes on a grid over the band of the records."""
-    for omega in np.geomspace(2 * np.pi / problem.seconds, problem.omega, _GRID):
-        yield np.array([np.log(omega)])
-        for damping in _DAMPINGS:
-            yield np.array([np.log(2 * damping * omega), 2 * np.log(omega)])
->>>>>>> 1de3e1d6 (Say what is computed: zeros, resonances, one sine, the input map; judge a fit by held-out blocks)
