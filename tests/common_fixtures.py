@@ -15,7 +15,8 @@ from jaxtyping import install_import_hook
 
 _SHAPED, _PLAIN = typecheck.modules("pitp_jax")
 beartype_packages(_PLAIN, conf=typecheck.CONF)
-with install_import_hook(_SHAPED, "typecheck.check"):
+with pytest.MonkeyPatch.context() as _patch, install_import_hook(_SHAPED, "typecheck.check"):
+    _patch.setattr("jaxtyping.jaxtyped", typecheck.remembering)
     import diagnosis_cases
     import equinox as eqx
 

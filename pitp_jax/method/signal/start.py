@@ -13,7 +13,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cho_factor, solve_banded, solve_triangular
+from scipy.linalg import solve_banded
+from scipy.linalg.lapack import dtrtrs
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
@@ -123,14 +124,9 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     first = max(kinds, key=lambda k: probability[k])
     certainty = float(probability[first])
     best = {k: _directed([_free_run(part, response, k, d) for d in (1.0, -1.0)], response.direction) for k in kinds}
-    run, least = (
-        best[first],
-        min(
-            (best[k] for k in kinds if k != "moving" or probability[k] > _POSSIBLE),
-            key=lambda r: r.error,
-            default=best[first],
-        ),
-    )
+    run = best[first]
+    others = [best[k] for k in kinds if k != "moving" or probability[k] > _POSSIBLE]
+    least = min(others, key=lambda r: r.error, default=run)
     if least.error < _CLEARLY * run.error:
         run, certainty = least, 1.0
     return _with_offset(part, response, run, certainty)
@@ -237,43 +233,47 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
     against = output[:, None] - directions * np.tile(runs, 2)
     prior = np.where(directions == response.direction, 1 - _REVERSED, _REVERSED if response.direction else 0.5)
     offsets = [(float(output[0]), span), *((z, max(_SAME * span, noise)) for z in response.zeros)]
-    scores = [
-        _marginal(against - z, np.log(prior), np.column_stack([np.full(len(output), tau), modes]), errors)
-        for z, tau in offsets
-    ]
-    return float(logsumexp(scores) - np.log(len(scores)))
+    return _marginal(against, np.log(prior), offsets, modes, errors)
 
 
 def _free(poles: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the free responses of all modes, shape (T, modes)."""
-    upper = np.imag(poles) >= 0
-    decay, rate = np.real(poles[upper]), np.imag(poles[upper])
-    grown, angle = np.exp(np.minimum(np.outer(time, decay), _GROWN)), np.outer(time, rate)
-    return np.column_stack([grown * np.cos(angle), (grown * np.sin(angle))[:, rate > 0]])
+    poles = poles[poles.imag >= 0]
+    grown, angle = np.exp(np.minimum(np.outer(time, poles.real), _GROWN)), np.outer(time, poles.imag)
+    return np.column_stack([grown * np.cos(angle), (grown * np.sin(angle))[:, poles.imag > 0]])
 
 
 def _lagged(run: np.ndarray, step: float, lag: float) -> np.ndarray:
     """Return a run behind a lag of order 1; step and lag in rad of the dominant mode."""
     pole = np.exp(-step / lag) if lag else 0.0
     # a bidiagonal equation; `scipy.signal` takes as long to import as a prediction
-    ahead = np.array([np.ones(len(run)), np.full(len(run), -pole)])
+    ahead = np.outer([1, -pole], np.ones(len(run)))
     return run[0] + solve_banded((1, 0), ahead, (1 - pole) * (run - run[0]))
 
 
-def _marginal(targets: np.ndarray, prior: np.ndarray, columns: np.ndarray, errors: Sequence[np.ndarray]) -> float:
-    """Return the log evidence of several targets and equally probable covariances.
+def _marginal(
+    targets: np.ndarray, prior: np.ndarray, offsets: Sequence[tuple], columns: np.ndarray, errors: Sequence[np.ndarray]
+) -> float:
+    """Return the log evidence of several targets and of equally probable covariances and offsets, up to a constant.
 
-    The prior variance of every column's factor is 1.
+    The prior variance of every column's factor is 1. By Woodbury's identity each covariance is factored once for all
+    offsets:  (E + C C')^-1 = E^-1 - E^-1 C (I + C' E^-1 C)^-1 C' E^-1.
 
     Args:
         targets: shape (T, hypotheses).
         prior: logs of their probabilities, shape (hypotheses,).
+        offsets: mean and standard deviation of each.
         columns: shape (T, factors).
         errors: covariances, shapes (T, T).
     """
-    scores = []
-    for error in errors:
-        factor = cho_factor(error + columns @ columns.T, lower=True)
-        white = solve_triangular(factor[0], targets, lower=True)
-        scores.append(prior - 0.5 * (white**2).sum(0) - np.log(np.diag(factor[0])).sum())
-    return float(logsumexp(scores) - np.log(np.size(scores)))
+    given = np.column_stack([targets, columns, np.ones(len(targets))])
+    # one call for all covariances, and LAPACK itself for each, because SciPy's checks take as long as the arithmetic
+    factors = np.linalg.cholesky(errors)
+    white = np.array([dtrtrs(factor.T, given, trans=1)[0] for factor in factors])[:, None]
+    white, free, one = np.split(white, [targets.shape[1], -1], axis=-1)
+    z, tau = np.array(offsets).T[..., None, None]
+    left, free = white - z * one, np.concatenate([free + 0 * tau, tau * one], -1)
+    inner, shared = np.eye(free.shape[-1]) + free.mT @ free, free.mT @ left
+    fits = (left**2).sum(-2) - (shared * np.linalg.solve(inner, shared)).sum(-2)
+    sizes = np.log(np.diagonal(factors, 0, 1, 2)).sum(-1)[:, None] + np.linalg.slogdet(inner)[1] / 2
+    return float(logsumexp(prior - fits / 2 - sizes[..., None]))

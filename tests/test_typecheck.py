@@ -1,0 +1,62 @@
+"""The suite's own checks of shapes: a call like an earlier one is not checked again, anything else is."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import typecheck
+from jaxtyping import Float, TypeCheckError
+
+
+@pytest.fixture
+def checked():
+    def cut(x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"], parts: list[int]) -> Float[np.ndarray, " n"]:
+        return x[: int(y[0])]
+
+    return typecheck.remembering(cut, typechecker=typecheck.check)
+
+
+ONE, TWO = np.full(3, 3.0), np.full(4, 4.0)
+
+
+def test_other_shapes_dtypes_types_and_contents_are_checked(checked):
+    for good in (ONE, TWO, ONE, TWO):
+        assert len(checked(good, good, [])) == len(good)
+    for wrong in ((ONE, TWO, []), (ONE, ONE.astype(int), []), (ONE, [3.0] * 3, []), (ONE, ONE, ["a"]), (ONE, ONE, 1)):
+        with pytest.raises(TypeCheckError):
+            checked(*wrong)
+    with pytest.raises(TypeCheckError):
+        checked(ONE, ONE, ["a"] * 40)
+
+
+def test_another_result_of_a_call_like_an_earlier_one_is_checked(checked):
+    checked(ONE, ONE, [])
+    for _ in range(2):
+        with pytest.raises(TypeCheckError, match="return"):
+            checked(ONE, ONE - 1, [])
+    assert len(checked(ONE, ONE + 1, [])) == 3
+
+
+def test_a_call_like_an_earlier_one_costs_no_check():
+    seen = []
+
+    def plain(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+        return x
+
+    def watched(function):
+        return lambda *args, **options: seen.append(args) or function(*args, **options)
+
+    checked = typecheck.remembering(plain, typechecker=watched)
+    for good in (ONE, ONE + 1, TWO, ONE, TWO):
+        checked(good)
+    assert len(seen) == 4  # arguments and result of two shapes
+
+
+def test_traced_arrays_are_checked():
+    def added(x: Float[jax.Array, " n"], y: Float[jax.Array, " n"]) -> Float[jax.Array, " n"]:
+        return x + y
+
+    checked, (one, other) = typecheck.remembering(added, typechecker=typecheck.check), (jnp.ones(1), jnp.ones(2))
+    assert jax.eval_shape(checked, one, one).shape == (1,)
+    with pytest.raises(TypeCheckError):
+        jax.eval_shape(checked, one, other)
