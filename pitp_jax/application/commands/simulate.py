@@ -99,5 +99,5 @@ def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
         "highest": float(shown.max()) if len(shown) else math.nan,
         "unit": unit,
         "diverged": bool(np.isnan(x).any()),
-        "outside_training_share": input_beyond(model, drive.voltage, drive.dt).fraction,
+        "outside_training_share": untrained(model, "input", drive.voltage, drive.dt).fraction,
     }
