@@ -8,7 +8,6 @@ figures/   the paper's figures, each with its numbers as CSV
 
 from pathlib import Path
 
-import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -20,7 +19,8 @@ from ...common.picture import Picture, figure_of, finish, new_axes
 from ..pages.drawing import CYCLE, DRIVE, ERROR, PREDICTED, beside, signals, volts
 from ..pages.drawn import FIGURES as HOME
 from ..pages.drawn import write_picture
-from ...method.simulate import decoder
+from ...method.simulate.decoder import rest_state
+from ...method.simulate.model_runs import evaluate, model_runs
 from .protocol import Demo, Table, excitations, kind, nearest, tables
 
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
@@ -122,10 +122,14 @@ def _tokens(demo: Demo):
 
 def token_history(model: Model, record: Record) -> np.ndarray:
     """Return a model's coefficients relative to nominal, then the offset, along a simulation from rest, (T, n + 2)."""
-    voltage = jnp.asarray(record.voltage, model.coefficients.dtype)
-    states = decoder.rollout_batch(model, voltage[None], record.dt, decoder.rest_state(model)[None])[0]
-    tokens, offset = jax.vmap(lambda s: model.tokens(s))(states)
-    return np.asarray(jnp.concatenate([tokens / model.coefficients, offset[:, None]], axis=-1), np.float64)
+    start = np.asarray(rest_state(model))[None]
+    states = model_runs(model, record.voltage[None], record.dt, start)[0][0]
+    return evaluate(_tokens_of, model, *states.T)
+
+
+def _tokens_of(model: Model, state, *_):
+    tokens, offset = model.tokens(state[: model.order + model.memory.size])
+    return state, jnp.append(tokens / model.coefficients, offset)
 
 
 def _tracking(demo: Demo):
