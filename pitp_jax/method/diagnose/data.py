@@ -19,20 +19,21 @@ import numpy as np
 from ...common.errors import BadInput
 from ..model.drive import DirectDrive
 from ..model.model import Model
+from ..model.substeps import substeps
 from ..signal.initial_state import aligned, noise_std
 from ..signal.preprocess import force_band
 from ..signal.record import Record
 from ..signal.reduced import centred_means, fastest_hz, samples_before
 from ..signal.sets import session_clock
 from ..simulate.prediction import at_rate, begin, predict, reaches
-from .library import CORE, INDEX, rates_of, slots_of
+from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
 
 PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or input; fewer if all together exceed:
 THINNED_SAMPLES = 12_000
 _ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
-STEPS = 24  # steps a period of the nominal's own mode, at least
-_FEWEST, _MOST_STEPS = 300, 6  # samples a thinned record keeps; steps a sample
+STEPS = 4  # steps a thinned sample of a linear core, at most
+_FEWEST = 300  # samples a thinned record keeps
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
 _MOST_FOLDS = 6
 _AROUND = 1e-3  # of the force's energy: outside of the band that was excited
@@ -183,8 +184,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     dt = records[0].dt * k
-    substeps = max(steps_a_sample(nominal, dt), 1 if others is None else at_rate(model, dt).substeps)
-    simulator = Simulator(tuple(drives), square, float(model.scales.force), rates_of(model), substeps, others, nominal)
+    simulator = Simulator(tuple(drives), model, others, nominal, steps_a_sample(model, others, dt))
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
 
 
@@ -229,9 +229,13 @@ def _omega(slots: np.ndarray) -> float:
     return float(np.sqrt(a0 / a2)) if a2 > 0 and a1 < 2 * np.sqrt(a0 * a2) else 0.0
 
 
-def steps_a_sample(nominal: np.ndarray, dt: float) -> int:
-    """Return the number of simulation steps per thinned sample of `dt` (s)."""
-    return int(np.clip(np.ceil(STEPS * _omega(nominal) * dt / (2 * np.pi)), 1, _MOST_STEPS))
+def steps_a_sample(model: Model, others: Model | None, dt: float) -> int:
+    """Return the number of steps per thinned sample of `dt` (s): those of the nominal, which its training knew.
+
+    A linear core takes no more than `STEPS`, or than its poles need.
+    """
+    own = at_rate(model, dt).substeps
+    return own if others is not None else min(own, max(STEPS, substeps(model.physical_coefficients, dt)))
 
 
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
