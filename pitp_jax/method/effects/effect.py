@@ -179,24 +179,20 @@ class Effect:
         """Return the memory states after earlier records have reached the displacement |X| = `reached`."""
         return self.kernel.resumed(self.p, z, reached)
 
-    def once(self, h) -> Any:
-        """Return the constants of the memory for a time step h (s), so that a loop need not recompute them."""
-        return self.kernel.once(self.p, h)
-
-    def advance(self, z, before, after, h, once=None) -> Float[Array, " states"]:
+    def advance(self, z, before, after, h) -> Float[Array, " states"]:
         """Return the memory states after the input w has changed linearly from `before` to `after` in h seconds."""
-        return self.kernel.advance(self.p, z, before, after, self.once(h) if once is None else once)
+        return self.kernel.advance(self.p, z, before, after, h)
 
     def apply(self, w, beside):
         """Return the output of the effect for the input w; `beside`: the states (IN, OUT) or the displacement (SQ)."""
         return self.spec.law(self.p, w, beside)
 
-    def act(self, z, now: Instant, once=None) -> Instant:
-        """Return the equation of the time step with the force of the effect; `once`: the constants for its h."""
+    def act(self, z, now: Instant) -> Instant:
+        """Return the equation of the time step with the force of the effect."""
         p, spec = self.p, self.spec
         # along a given motion the states are those of the instant; a step's force is evaluated half a step later
         if now.last is None:
-            z = self.kernel.ahead(p, z, replace(now, h=self.once(now.h) if once is None else once))
+            z = self.kernel.ahead(p, z, now)
         now = replace(now, z=z)
         if spec.mass:  # first, so that the acceleration in a law is that of the changed mass
             now = now.heavier(spec.mass(p, now))

@@ -40,7 +40,6 @@ class Kernel:
         advance: fn(p, z, before, after, h), the states after w ran linearly from `before` to `after` in h seconds.
         ahead: fn(p, z, now), the states half a step later, for the force of a frozen step.
         resumed: fn(p, z, reached), the states after the session has reached |x| = `reached`; most do not change.
-        once: fn(p, h), passed to `advance` for h and to `ahead` for now.h: h, or numbers that a loop computes once.
     """
 
     size: int
@@ -48,7 +47,6 @@ class Kernel:
     advance: Callable[..., Any] = _same
     ahead: Callable[..., Any] = _same
     resumed: Callable[..., Any] = _same
-    once: Callable[..., Any] = lambda p, h: h
 
 
 NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
@@ -60,31 +58,27 @@ DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift 
 def lag(of: Callable = lambda p, w: w) -> Kernel:
     """Build a first-order lag with the time constant tau, whose input is `of` w."""
 
-    def once(p, h):  # the smallest number represents no lag, and keeps h / tau finite
-        tau = jnp.maximum(p.tau, 1e-9)
-        return (*lag_weights(tau, h), -jnp.expm1(-h / 2 / tau))
+    def present(p):  # the smallest number represents no lag, and keeps h / tau finite
+        return jnp.maximum(p.tau, 1e-9)
 
-    def advance(p, z, before, after, weights):
-        return lag_followed(z, of(p, before), of(p, after), *weights[:2])
+    def advance(p, z, before, after, h):
+        return lag_followed(z, of(p, before), of(p, after), *lag_weights(present(p), h))
 
     def ahead(p, z, now):  # x held over half a step, because its end is not known yet
-        return z + (now.x - z) * now.h[2]
+        return z - (now.x - z) * jnp.expm1(-now.h / 2 / present(p))
 
-    return Kernel(1, lambda p, w, age: jnp.full((1,), of(p, w)), advance, ahead, once=once)
+    return Kernel(1, lambda p, w, age: jnp.full((1,), of(p, w)), advance, ahead)
 
 
 def lag_each_way() -> Kernel:
     """Build a lag with the time constant `up` where |w| exceeds |z|, and `down` where it does not."""
 
-    def once(p, h):
-        return [lag_weights(jnp.maximum(tau, 1e-9), h) for tau in (p.up, p.down)]
-
-    def advance(p, z, before, after, weights):
+    def advance(p, z, before, after, h):
         rises = jnp.abs(before + after) / 2 > jnp.abs(z)
-        up, down = (lag_followed(z, before, after, *w[:2]) for w in weights)
+        up, down = (lag_followed(z, before, after, *lag_weights(jnp.maximum(t, 1e-9), h)) for t in (p.up, p.down))
         return jnp.where(rises, up, down)
 
-    return Kernel(1, lambda p, w, age: jnp.full((1,), w), advance, once=once)
+    return Kernel(1, lambda p, w, age: jnp.full((1,), w), advance)
 
 
 def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:
@@ -125,17 +119,13 @@ def play(*ratios: float) -> Kernel:
 def coasting() -> Kernel:
     """Build a play whose follower coasts until either end catches it, with the states (z, z')."""
 
-    def once(p, h):
+    def advance(p, z, before, after, h):
         slowed = jnp.exp(-p.rate * h)
-        return h, slowed, (1 - slowed) / jnp.maximum(p.rate, 1e-9)
-
-    def advance(p, z, before, after, weights):
-        h, slowed, way = weights
-        alone = z[0] + z[1] * way
+        alone = z[0] + z[1] * (1 - slowed) / jnp.maximum(p.rate, 1e-9)
         caught = jnp.clip(alone, after - p.width / 2, after + p.width / 2)
         return jnp.stack([caught, jnp.where(caught == alone, z[1] * slowed, (after - before) / h)])
 
-    return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance, once=once)
+    return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance)
 
 
 def _travelled(advance: Callable) -> Kernel:
