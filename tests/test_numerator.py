@@ -8,9 +8,9 @@ from scipy.signal import chirp, lsim
 
 from pitp_jax import Record
 from pitp_jax.common.errors import ComputationFailed
-from pitp_jax.method.identify.frequency_fit import fit_rational, needs_resonance
 from pitp_jax.method.identify.frequency_response import FrequencyResponse
 from pitp_jax.method.identify.identification import _better, identify
+from pitp_jax.method.identify.rational_fit import fit_rational, needs_resonance
 from pitp_jax.method.identify.remarks import UNSTABLE
 
 DT = 0.01

@@ -102,7 +102,7 @@ def test_the_parser_needs_no_jax():
 
 @pytest.mark.parametrize(
     ("command", "idle"),
-    [("info", "pandas scipy.signal scipy.optimize"), ("predict", "scipy.signal scipy.optimize")],
+    [("info", "pandas scipy.signal scipy.optimize optimistix"), ("predict", "scipy.signal scipy.optimize optimistix")],
 )
 def test_a_command_loads_nothing_that_it_does_not_use(command, idle):
     """What identifies comes with the commands that fit: it was a third of all that a prediction loaded."""

@@ -14,10 +14,10 @@ import numpy as np
 
 from ...common.errors import BadInput, ComputationFailed
 from ...method.identify.beginnings import find_beginnings, start_beside
-from ...method.identify.frequency_fit import PEAK, needs_resonance
 from ...method.identify.frequency_response import frequency_response
 from ...method.identify.linear_ode import coast, logs_from_roots, respond
 from ...method.identify.output_error import build_problem
+from ...method.identify.rational_fit import PEAK, needs_resonance
 from ...method.model.input_map import INPUT_MAPS
 from ...method.numerics.coloured_noise import project
 from ...method.signal.excitation_kind import kind
@@ -69,7 +69,7 @@ class SetFit:
 
     Attributes:
         natural_hz: of its pole pair, or of the geometric mean of its real poles.
-        peak_hz: of a resonance that the frequency response needs (`frequency_fit`); None without one.
+        peak_hz: of a resonance that the frequency response needs (`rational_fit`); None without one.
         unexplained: its residual, of the output's deviation.
         input_map: "square" or "linear".
         records: compared with it, by name.

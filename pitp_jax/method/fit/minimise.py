@@ -13,7 +13,8 @@ the damping leave enough digits for tens to hundreds of parameters, with million
 at once.
 
 Optimistix is not used: it has no bounds, needs J itself (1e6 rows instead of sums of P^2 numbers), and compiles its
-loop, while an identification meets each shape once. SciPy fits small problems (`method.identify.frequency_fit`).
+loop, while an identification meets each shape once. `optimistix.LevenbergMarquardt` fits small, already compiled
+problems (`method.identify.frequency_fit`).
 """
 
 from collections.abc import Callable, Iterator, Sequence

@@ -1,103 +1,65 @@
-"""Fit poles, zeros and delays to the frequency response: starts for every order, and checks of what a claim needs.
+"""Fit poles and delays of every order to the frequency response, by Levenberg-Marquardt (optimistix).
 
-    G(s) = e^{-s tau} sinc^2(w h / 2) (b_0 + ... + b_m s^m) / prod (s^2 + 2 z w s + w^2) [(s + c)],    s = j w
-    minimise  sum_k | G(j w_k) - G_k |^2 / s_k^2,    s_k: its standard error, at least 2 % of |G_k|
+    minimise  sum_k | g M(j w_k) - G_k |^2 / s_k^2 + 1e-8 |p - p_0|^2,    s_k: its standard error, at least 2 % of |G_k|
+    M = e^{-s tau} sinc^2(w h / 2) prod_active e^q / (s^2 + e^p s + e^q) [e^r / (s + e^r)],    s = j w,  g: real
 
-b is projected out (variable projection), so a start needs poles and a delay alone; these come from the equation error
-|a(s) G_k - b(s) e^{-s tau}|, iterated with its own denominator as weight. A resonance is a pole pair with a peak
-(z < 1 / sqrt 2) without which the best fit leaves a quarter more error.
-Source: Sanathanan & Koerner (1963); Golub & Pereyra (1973); Pintelon & Schoukens (2012), 9.
+All orders, with and without a delay, use one program; a mask removes the poles that an order does not have. The starts
+come from the linear equation-error fit in frequency (iterated with its own denominator as weight).
+Source: Sanathanan & Koerner (1963); Pintelon & Schoukens (2012), 9.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import least_squares
+import optimistix
+from jaxtyping import Array, Float
 
+from ..numerics.where import where
 from .frequency_response import FrequencyResponse
+from .linear_ode import logs_from_roots
 
 ORDERS = tuple(range(1, 7))
-PEAK = 0.5**0.5  # damping below which a pole pair has a resonance peak
+_PAIRS = 3
 _LEAST = 0.02  # of |G|: no response is linear to better than this
-_CLEARLY = 0.8  # of the error, beside one standard error: what a fit with a peak leaves where it needs one
-_DELAYS = np.concatenate([[0.0], np.geomspace(0.5, 45.0, 8)])  # samples: starts
-_ROUNDS, _MOST = 8, 40
-
-
-@dataclass(frozen=True)
-class Rational:
-    """A fit of the response: rms error over the standard error, poles and zeros in rad/s, delay in s."""
-
-    error: float
-    poles: np.ndarray
-    zeros: np.ndarray
-    delay: float
-    logs: np.ndarray
+_LINES = 256
+_ROUNDS, _STEPS = 8, 60
+_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
+_RIDGE = 1e-4
 
 
 def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
     """Fit every (order, delayed); return logarithms of the pole coefficients (rad/s), then of the delay (s)."""
-    fits = {(n, late): fit_rational(response, dt, n, delayed=late) for n in orders for late in delays}
-    return {key: np.append(f.logs, [np.log(max(f.delay, 1e-6 * dt))] * key[1]) for key, f in fits.items()}
+    s, value, weight, held, unit = Lines.of(response, dt)
+    shapes = [(order, delayed) for order in orders for delayed in delays]
+    rows = [(_start(*shape, s, value / held, weight * held, unit * dt), _mask(*shape)) for shape in shapes]
+    pad = _LINES - len(s)  # padded to one shape with weight 0, so that one program serves every record
+    data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
+    with jax.enable_x64(True):
+        fixed = [jnp.asarray(a) for a in data]
+        fits = [_least_squares(jnp.asarray(start), jnp.asarray(mask), fixed) for start, mask in rows]
+    result = {}
+    for (order, delayed), row in zip(shapes, fits, strict=True):
+        logs = _logs(row, order, unit)
+        with np.errstate(over="ignore"):  # sines far below a pole move it to infinity
+            finite = np.isfinite([*row, *np.exp(2 * logs)]).all()
+        if finite:
+            result[order, delayed] = np.append(logs, [row[-1] - np.log(unit)] * delayed)
+    return result
 
 
 def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
     """Return log pole coefficients (rad/s) of a linear equation-error fit, which needs no initial guess."""
-    lines = _Lines.of(response, dt)
-    return _logs(_start(lines, order, 0, 0.0, lines.unit * dt), order, lines.unit)
+    s, value, weight, held, unit = Lines.of(response, dt)
+    start = _start(order, False, s, value / held, weight * held, unit * dt)
+    return _logs(start, order, unit)
 
 
-def needs_resonance(response: FrequencyResponse, dt: float) -> bool:
-    """Return whether the response needs a pole pair with a peak."""
-    if not response.rich:
-        return False
-    without = fit_rational(response, dt, 3, 2, least=PEAK).error
-    fits = (fit_rational(response, dt, order, zeros).error for order, zeros in ((2, 0), (3, 2)))
-    return any(np.hypot(1, error) < _CLEARLY * np.hypot(1, without) for error in fits)
-
-
-def fit_rational(
-    response: FrequencyResponse, dt: float, order: int, zeros: int = 0, *, delayed: bool = True, least: float = 1e-3
-) -> Rational:
-    """Fit `order` poles, `zeros` zeros and a delay; `least` is the smallest damping ratio of a pole pair."""
-    lines = _Lines.of(response, dt)
-    s, pairs, step = lines.s, order // 2, lines.unit * dt
-    powers, goal = s[:, None] ** np.arange(zeros + 1), lines.weight * lines.value
-
-    def project(p):
-        w, z = np.exp(p[:pairs]), np.exp(p[pairs : 2 * pairs])
-        scale = lines.weight * lines.held * np.exp(-s * p[-1] * step)
-        scale = scale / np.prod(s[:, None] ** 2 + 2 * z * w * s[:, None] + w**2, axis=1)
-        if order % 2:
-            scale = scale / (s + np.exp(p[2 * pairs]))
-        rows, target = (np.concatenate([v.real, v.imag]) for v in (scale[:, None] * powers, goal))
-        size = np.linalg.norm(rows, axis=0) + 1e-300
-        b = np.linalg.lstsq(rows / size, target, rcond=1e-12)[0] / size
-        return rows @ b - target, b
-
-    low = np.concatenate([np.full(pairs, -8.0), np.full(pairs, np.log(least)), np.full(order % 2, -12.0), [0.0]])
-    latest = 2 * _DELAYS[-1] if delayed else 1e-5
-    high = np.concatenate([np.full(pairs, 8.0), np.full(pairs, 4.0), np.full(order % 2, 8.0), [latest]])
-    late = _DELAYS if delayed else _DELAYS[:1]
-    fits = []
-    for origin in (False, True)[: 1 + (zeros > 0)]:
-        starts = [np.clip(_start(lines, order, zeros, d, step, origin), low + 1e-6, high - 1e-6) for d in late]
-        start = min(starts, key=lambda p: float(np.sum(project(p)[0] ** 2)))
-        fits.append(least_squares(lambda p: project(p)[0], start, bounds=(low, high), max_nfev=_MOST, x_scale="jac"))
-    fit = min(fits, key=lambda f: f.cost)
-    w, z = np.exp(fit.x[:pairs]), np.exp(fit.x[pairs : 2 * pairs])
-    roots = [-z * w + sign * w * np.sqrt(z**2 - 1 + 0j) for sign in (1, -1)]
-    poles = np.concatenate([*roots, -np.exp(fit.x[2 * pairs : -1])])
-    found = np.roots(project(fit.x)[1][::-1]) if zeros else np.zeros(0)
-    error, delay = float(np.sqrt(2 * fit.cost / len(s))), float(fit.x[-1] * dt) if delayed else 0.0
-    return Rational(error, lines.unit * poles, lines.unit * found, delay, _logs(fit.x, order, lines.unit))
-
-
-class _Lines(NamedTuple):
+class Lines(NamedTuple):
     """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of the hold."""
 
     s: np.ndarray
@@ -107,7 +69,7 @@ class _Lines(NamedTuple):
     unit: float
 
     @classmethod
-    def of(cls, response: FrequencyResponse, dt: float) -> "_Lines":
+    def of(cls, response: FrequencyResponse, dt: float) -> "Lines":
         """Select the frequencies at which a response, sampled every `dt` seconds, is coherent."""
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
@@ -117,40 +79,66 @@ class _Lines(NamedTuple):
         return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
 
 
-def _logs(p: np.ndarray, order: int, unit: float) -> np.ndarray:
-    """Return the logarithms of the pole coefficients (rad/s), 2 z w and w^2 of every pair, then the single pole."""
-    pairs, shift = order // 2, np.log(unit)
-    w, z, single = p[:pairs], p[pairs : 2 * pairs], p[2 * pairs : -1]
-    return np.append(np.column_stack([np.log(2) + z + w + shift, 2 * (w + shift)]).ravel(), single + shift)
+def _logs(row: np.ndarray, order: int, unit: float) -> np.ndarray:
+    """Return the logarithms of one order's pole coefficients in rad/s, from a padded and scaled parameter vector."""
+    logs = np.concatenate([row[: 2 * (order // 2)], row[2 * _PAIRS : 2 * _PAIRS + order % 2]])
+    return logs + np.log(unit) * np.array([1.0, 2.0] * (order // 2) + [1.0] * (order % 2))
 
 
-def _start(lines: _Lines, order: int, zeros: int, late: float, step: float, origin: bool = False) -> np.ndarray:
-    """Return initial parameters from the equation error at a delay of `late` samples, scaled so that b_0 = 1.
+def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:
+    """Return the fitted parameters of one order. Orders are fitted one by one: a batch compiles twice as long."""
+    solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
+    solution = optimistix.least_squares(
+        _residual, solver, start, args=(start, mask, *data), max_steps=_STEPS, throw=False
+    )  # fmt: skip
+    return np.asarray(solution.value)
 
-    `origin`: b_0 may be 0; the sum of squares of all coefficients is 1 instead.
-    """
-    s, weight = lines.s, lines.weight * np.abs(lines.held)
-    value, size = lines.value / lines.held * np.exp(s * late * step), np.ones(len(s))
-    powers = s[:, None] ** np.arange(max(order, zeros) + 1)
-    a = np.ones(order + 1)
-    for _ in range(_ROUNDS):
-        rows = np.column_stack([powers[:, : order + 1] * value[:, None], -powers[:, : zeros + 1]])
-        rows = rows * (weight * size)[:, None]
-        rows = np.vstack([rows.real, rows.imag])
-        norm, last = np.linalg.norm(rows, axis=0) + 1e-300, order + 1  # the column of b_0
-        if origin:
-            a = (np.linalg.svd(rows / norm, full_matrices=False)[2][-1] / norm)[:last]
-        else:
-            others = np.delete(rows / norm, last, axis=1)
-            a = (np.linalg.lstsq(others, -rows[:, last], rcond=1e-10)[0] / np.delete(norm, last))[:last]
-        # the weight 1 / |a| of the last round makes an equation error an output error (Sanathanan & Koerner)
-        size = 1 / np.maximum(np.abs(powers[:, : order + 1] @ a), 1e-9 * np.abs(a).max())
-    roots = np.roots(a[::-1])
-    roots = np.concatenate([roots, np.full(order - len(roots), -1.0)])
-    pairs = sorted([r for r in roots if r.imag > 0], key=abs)
-    reals = sorted([abs(r.real) + 1e-9 for r in roots if r.imag == 0])
-    single = [reals.pop()] if order % 2 else []
-    quads = [(abs(r), abs(r.real) / abs(r)) for r in pairs]
-    quads += [(np.sqrt(a * b), (a + b) / 2 / np.sqrt(a * b)) for a, b in zip(reals[::2], reals[1::2], strict=True)]
-    w, z = np.array(quads).reshape(-1, 2).T
-    return np.concatenate([np.log(w), np.log(np.maximum(z, 1e-6)), np.log(single), [late]])
+
+def _mask(order: int, delayed: bool) -> np.ndarray:
+    pairs = np.repeat(np.arange(_PAIRS) < order // 2, 2)
+    return np.concatenate([pairs, [order % 2 == 1, delayed]]).astype(float)
+
+
+def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
+    """Return initial parameters from the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, at the best delay."""
+    best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
+    for late in _DELAYS if delayed else (0.0,):
+        target = np.exp(-s * late * sample) / value
+        powers, size = s[:, None] ** np.arange(order + 1), np.abs(value)
+        a = np.ones(order + 1)
+        for _ in range(_ROUNDS):
+            rows = np.column_stack([powers, target]) * (weight * np.abs(value) * size)[:, None]
+            stacked = np.vstack([np.real(rows), np.imag(rows)])
+            a = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-10)[0]
+            # the weight 1 / |a| of the last round makes an equation error an output error (Sanathanan & Koerner)
+            size = 1 / np.maximum(np.abs(powers @ a), 1e-3 * np.abs(target))
+        roots = np.roots(a[::-1])
+        if len(roots) != order or not np.isfinite(roots).all():
+            continue
+        logs = logs_from_roots(roots)
+        stable = -np.abs(np.real(roots)) + 1j * np.imag(roots)
+        model = np.exp(-s * late * sample) / np.prod(1 - s[:, None] / stable, 1)
+        gain = np.sum(weight**2 * np.real(model.conj() * value)) / np.sum(weight**2 * np.abs(model) ** 2)
+        cost = float(np.sum(weight**2 * np.abs(gain * model - value) ** 2))
+        if cost < best:
+            best, chosen = cost, np.zeros(2 * _PAIRS + 2)
+            chosen[: 2 * (order // 2)] = logs[: 2 * (order // 2)]
+            chosen[2 * _PAIRS : 2 * _PAIRS + order % 2] = logs[2 * (order // 2) :]
+            chosen[-1] = np.log(max(late * sample, 1e-6))
+    return chosen
+
+
+def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
+    """Return the weighted error of the fitted response, real then imaginary parts; masked parameters do not change."""
+    start, mask, omega, real, imag, weight, held = given
+    s, value = 1j * omega, real + 1j * imag
+    p = where(mask > 0, p, start)
+    damping, size = (jnp.exp(p[k : 2 * _PAIRS : 2])[:, None] for k in (0, 1))
+    pairs = where(mask[: 2 * _PAIRS : 2, None] > 0, size / (s**2 + damping * s + size), 1.0)
+    corner = jnp.exp(p[2 * _PAIRS])
+    single = jnp.where(mask[2 * _PAIRS] > 0, corner / (s + corner), 1.0)
+    own = weight * held * jnp.exp(-s * jnp.exp(p[-1]) * mask[-1]) * jnp.prod(pairs, 0) * single
+    # g is linear and real: it is projected out, so it needs no start
+    gain = jnp.sum((own.conj() * weight * value).real) / jnp.maximum(jnp.sum(jnp.abs(own) ** 2), 1e-300)
+    misfit = gain * own - weight * value
+    return jnp.concatenate([misfit.real, misfit.imag, _RIDGE * (p - start)])

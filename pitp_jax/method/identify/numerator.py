@@ -16,11 +16,11 @@ from scipy.optimize import least_squares
 from scipy.signal import lsim
 
 from ..numerics.coloured_noise import project
-from .frequency_fit import PEAK, Rational, fit_rational
 from .frequency_response import FrequencyResponse
 from .heldout import Candidate
 from .linear_ode import coast, logs_from_roots, poles
 from .output_error import Problem
+from .rational_fit import PEAK, Rational, fit_rational
 
 _ORDERS, _ZEROS = (1, 2, 3, 4), (1, 2)
 _LESS = 0.5  # of the error: what a model with zeros must leave
