@@ -225,7 +225,7 @@ def test_held_out_blocks_choose_the_model_and_fit_nothing(plant, start, monkeypa
     gone = [np.isnan(r.displacement) & o.observed for r, o in zip(held_out.rest, plant[1], strict=True)]
     assert all(0.28 < g.mean() < 0.35 and not g[: SAMPLES // 9].any() for g in gone) and not (gone[0] & gone[1]).any()
     models = [eqx.tree_at(lambda m: m.drive.log_tau, start[0], jnp.float32(k)) for k in range(4)]
-    scores = dict(zip(range(4), (3.0, 1.0, 2.0, 2.5), strict=True))
+    scores = dict(zip(map(float, range(4)), (3.0, 1.0, 2.0, 2.5), strict=True))
     fits = []
 
     def descend(model, batches, count, stage, how):

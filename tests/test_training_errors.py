@@ -17,7 +17,7 @@ def candidate(linear):
     model = linear(2)
 
     def make(trained, nominal=(2.0, 4.0), noise=(0.1, 0.1)):
-        return Candidate(model, ("a", "b"), *map(np.array, (nominal, trained, noise)))
+        return Candidate(model, ("a", "b"), np.array(nominal), np.array(trained), np.array(noise))
 
     return make
 

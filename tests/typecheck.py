@@ -15,6 +15,7 @@ import jax
 import jaxtyping
 import numpy as np
 from beartype import BeartypeConf, beartype
+from jax.core import Tracer
 
 CONF = BeartypeConf(is_pep484_tower=True, claw_is_pep526=False)  # of variables, pyright sees the types
 check = beartype(conf=CONF)
@@ -40,7 +41,7 @@ _forms: dict[type, str] = {}
 
 
 def _form(kind: type) -> str:
-    if issubclass(kind, np.ndarray | jax.Array | jax.core.Tracer):
+    if issubclass(kind, np.ndarray | jax.Array | Tracer):
         return "array"
     if kind in (str, bool, int, type(None)):
         return "value"

@@ -91,7 +91,7 @@ def needed_zeros(chosen: Candidate, problem: Problem, response: FrequencyRespons
 
 def _creeps(fitted: Numerator) -> bool:
     """Return whether every zero has a real pole beside it: a lag added to the motion, which is creep."""
-    real = np.abs(fitted.poles[fitted.poles.imag == 0])
+    real = np.abs(fitted.poles[np.imag(fitted.poles) == 0])
     return all(z != 0 and ((real < abs(z)) & (abs(z) < _BESIDE * real)).any() for z in fitted.zeros)
 
 

@@ -56,7 +56,7 @@ def fit_rational(
         scale = scale / np.prod(s[:, None] ** 2 + 2 * z * w * s[:, None] + w**2, axis=1)
         if order % 2:
             scale = scale / (s + np.exp(p[2 * pairs]))
-        rows, target = (np.concatenate([v.real, v.imag]) for v in (scale[:, None] * powers, goal))
+        rows, target = (np.concatenate([np.real(v), np.imag(v)]) for v in (scale[:, None] * powers, goal))
         size = np.linalg.norm(rows, axis=0) + 1e-300
         b = np.linalg.lstsq(rows / size, target, rcond=1e-12)[0] / size
         return rows @ b - target, b

@@ -51,7 +51,7 @@ def linearise(
     size = states.shape[-1]
     n, zero = size + 3, jnp.zeros((), states.dtype)
     # the electrode's lag is linear, so its three coefficients are its slopes at any voltage
-    q, a, b = jax.grad(lambda *v: model.drive.after(*v, dt), argnums=(0, 1, 2))(zero, zero, zero)
+    q, a, b = jax.grad(lambda v, old, new: model.drive.after(v, old, new, dt), argnums=(0, 1, 2))(zero, zero, zero)
     V = jnp.zeros(n, states.dtype).at[size:].set(jnp.stack([q, a + b, b]))
     ramp = jnp.zeros((2, n), states.dtype).at[0, size + 1 :].set(1.0).at[1, -1].set(1.0)
 

@@ -24,7 +24,7 @@ class AbstractDrive(eqx.Module):
         """Compute the film voltage V for a sampled voltage u; `rest`: whether the record starts at rest, uncharged."""
 
     @abstractmethod
-    def after(self, film: Float[Array, ""], before: Float[Array, ""], now: Float[Array, ""], dt: float):
+    def after(self, film: Float[Array, ""], before: Float[Array, ""], now: Float[Array, ""], dt: float) -> Array:
         """Compute the film voltage V one sample later, for u linear from `before` to `now`."""
 
     @abstractmethod

@@ -16,9 +16,9 @@ from .rows import Rows
 def factored(roots: np.ndarray) -> tuple[list[tuple[float, float]], list[float]]:
     """Return the factors of a polynomial with these stable roots: (q, p) of every s^2 + p s + q, then r of an s + r."""
     # rounding may give a real root a small imaginary part
-    is_real = np.abs(roots.imag) <= 1e-9 * np.abs(roots)
-    real = sorted((-roots[is_real].real).tolist())
-    pairs = [(abs(r) ** 2, -2 * r.real) for r in roots[~is_real & (roots.imag > 0)].tolist()]
+    is_real = np.abs(np.imag(roots)) <= 1e-9 * np.abs(roots)
+    real = sorted((-np.real(roots[is_real])).tolist())
+    pairs = [(abs(r) ** 2, -2 * r.real) for r in roots[~is_real & (np.imag(roots) > 0)].tolist()]
     pairs += [(a * b, a + b) for a, b in zip(real[::2], real[1::2], strict=False)]
     return pairs, real[len(real) - len(real) % 2 :]
 

@@ -114,7 +114,7 @@ def only_frequency(record: Record) -> float | None:
 
     def left(hz: float) -> float:
         wave = np.exp(2j * np.pi * hz * time)
-        return float(np.sum(project(u, np.column_stack([wave.real, wave.imag, np.ones(len(u))]))[1] ** 2))
+        return float(np.sum(project(u, np.column_stack([np.real(wave), np.imag(wave), np.ones(len(u))]))[1] ** 2))
 
     # a sine is off by at most an eightieth of a line, whose phase changes by 0.04 rad from the middle to the ends
     tried = loudest(record) + np.linspace(-1, 1, _TRIED) / (record.samples * record.dt)

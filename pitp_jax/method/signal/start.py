@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import solve_banded
-from scipy.linalg.lapack import dtrtrs
+from scipy.linalg.lapack import dtrtrs  # pyright: ignore[reportAttributeAccessIssue]
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
@@ -238,9 +238,9 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
 
 def _free(poles: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Return the free responses of all modes, shape (T, modes)."""
-    poles = poles[poles.imag >= 0]
-    grown, angle = np.exp(np.minimum(np.outer(time, poles.real), _GROWN)), np.outer(time, poles.imag)
-    return np.column_stack([grown * np.cos(angle), (grown * np.sin(angle))[:, poles.imag > 0]])
+    poles = poles[np.imag(poles) >= 0]
+    grown, angle = np.exp(np.minimum(np.outer(time, np.real(poles)), _GROWN)), np.outer(time, np.imag(poles))
+    return np.column_stack([grown * np.cos(angle), (grown * np.sin(angle))[:, np.imag(poles) > 0]])
 
 
 def _lagged(run: np.ndarray, step: float, lag: float) -> np.ndarray:
@@ -276,4 +276,4 @@ def _marginal(
     inner, shared = np.eye(free.shape[-1]) + free.mT @ free, free.mT @ left
     fits = (left**2).sum(-2) - (shared * np.linalg.solve(inner, shared)).sum(-2)
     sizes = np.log(np.diagonal(factors, 0, 1, 2)).sum(-1)[:, None] + np.linalg.slogdet(inner)[1] / 2
-    return float(logsumexp(prior - fits / 2 - sizes[..., None]))
+    return float(np.asarray(logsumexp(prior - fits / 2 - sizes[..., None])))

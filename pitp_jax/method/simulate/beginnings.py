@@ -87,15 +87,15 @@ def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
     """Return how each record starts, and its initial state if it starts at rest or in equilibrium."""
-    omega, dt, ages = model.natural_frequency, records[0].dt, np.asarray(ages, np.float64)
+    omega, dt, clock = model.natural_frequency, records[0].dt, np.asarray(ages, np.float64)
     low, high = model.domain.voltage_range
     span = float(high - low) if np.isfinite(high - low) and high > low else None
     parts = [first_part(r, omega, span) for r in records]
     size = max(p.samples for p in parts)
     voltage = np.stack([np.pad(p.voltage, (0, size - p.samples), mode="edge") for p in parts])
     states = {
-        "rest": evaluate(still, model, 0.0, 0.0, ages),
-        "held": settled_states(model, voltage[:, 0], dt, ages),
+        "rest": evaluate(still, model, 0.0, 0.0, clock),
+        "held": settled_states(model, voltage[:, 0], dt, clock),
     }
     start = np.concatenate(list(states.values()))
     readings = model.scales.state[0] * model_runs(model, np.tile(voltage, (2, 1)), dt, start)[1]

@@ -234,6 +234,7 @@ def _attempts(
         return
     held_out, best, model = HeldOut(records), None, with_parts(model, nominal, settings)
     plain = held_out.score(_bare(model, nominal, data, settings))
+    start = 0
     for start in range(1, settings.starts + 1):
         if start > 1:
             fresh = with_encoder(data, settings, own, jax.random.fold_in(init, start))

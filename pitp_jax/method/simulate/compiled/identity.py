@@ -42,8 +42,9 @@ def _told(value: Any) -> Any:
     name = kind.__module__, kind.__qualname__
     if kind is value:
         return name
-    if isinstance(getattr(value, "tree", None), jax.tree_util.PyTreeDef):
-        return name, _told(jax.tree.unflatten(value.tree, value.leaves))
+    part: Any = value
+    if isinstance(getattr(part, "tree", None), jax.tree_util.PyTreeDef):
+        return name, _told(jax.tree.unflatten(part.tree, part.leaves))
     if not is_dataclass(value):
         raise LookupError(kind)
     return name, [_told(getattr(value, field.name)) for field in fields(value)]
