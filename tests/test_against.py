@@ -15,6 +15,7 @@ from pitp_jax.application.against import entry
 from pitp_jax.application.against.correction import corrections
 from pitp_jax.application.against.entry import simplest_model
 from pitp_jax.application.against.result import SimToReal
+from pitp_jax.application.compare.pairing import Pairing
 from pitp_jax.application.demo import joint
 from pitp_jax.method.diagnose.joint import parameters
 from pitp_jax.method.effects import CATALOGUE
@@ -86,7 +87,7 @@ def test_numbers_after_position_commands_are_torques_with_a_gain_and_ratios_with
 
 def test_a_delay_that_includes_half_a_sample_is_related_to_the_one_to_enter(simulator):
     robot: Any = _robot(simulator, [("delay", 0.02)], (1.0, 1.0, 1.0))
-    pairs: Any = SimpleNamespace(remarks=lambda *names: [])
+    pairs = Pairing((), (), ())
     told = parameters(simulator, robot, recordings(), 20.0)
     found: Any = SimpleNamespace(
         robot=robot,
@@ -111,7 +112,7 @@ def test_what_one_linear_model_leaves_of_two_loads_is_stated_with_the_remedy(oth
             y = lsim(([w**2], [1.0, 0.6 * w, w**2]), r.voltage, r.time - r.time[0], interp=False)[1]
             records.append(replace(r, name=f"{len(records)}", displacement=y))
     identified = pitp.identify(records, order=2, input_map="linear")
-    pairs: Any = SimpleNamespace(remarks=lambda *names: [])
+    pairs = Pairing((), (), ())
     found: Any = SimpleNamespace(identification=identified, pairs=pairs, parameters=(), simulator_share=(0.0, 0.0, 0.0),
                                  records=records)  # fmt: skip
     lines = [line for line in SimToReal.remarks(found) if "folder of its own" in line]
@@ -272,7 +273,7 @@ def test_a_gap_below_the_error_of_the_simulators_model_is_unknown(simulator, own
 def test_an_offset_of_the_log_is_printed(simulator):
     found: Any = SimpleNamespace(
         identification=SimpleNamespace(chosen=SimpleNamespace(heldout=0.5)),
-        pairs=SimpleNamespace(remarks=lambda *names: []),
+        pairs=Pairing((), (), ()),
         parameters=(), simulator_share=(0.0, 0.0, 0.0), records=recordings(), offsets=(np.pi, 0.0), nominal=simulator,
     )  # fmt: skip
     (line,) = [line for line in SimToReal.remarks(found) if "Subtracted" in line]

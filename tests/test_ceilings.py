@@ -14,7 +14,7 @@ import pitp_jax
 
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
-    "common": 6000, "method/numerics": 9900, "method/signal": 13280, "method/model": 12500, "method/effects": 11600,
+    "common": 6000, "method/numerics": 9900, "method/signal": 13300, "method/model": 12500, "method/effects": 11600,
     "method/simulate": 18500, "method/fit": 9000, "method/identify": 27400, "method/train": 15700,
     "method/invert": 19200, "method/diagnose": 51900, "method/adapt": 5500, "files/containers": 32900,
     "files/recordings": 13300, "files/model_file": 5900, "files/export": 11600, "files/mjcf": 9000,
