@@ -84,6 +84,8 @@ def judged(name: str, found: dict, shared: Path) -> str:
     room, case = name.split("/")
     if room == "rigs":
         row = found.get(case, {})
+        if "refused" in row:  # its linear model explains nothing, and says so
+            return "unknown"
         return {"-": "unknown"}.get(row["says"], row["says"]) if "says" in row else "failed"
     if "verdict" not in found:
         return "failed"
