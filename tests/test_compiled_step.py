@@ -1,7 +1,9 @@
 """The machine code of a step beside the JAX scan of the same step: operations, functions, loops, widths, the cache."""
 
 import ctypes
+import mmap
 import os
+import sys
 from dataclasses import replace
 from functools import partial
 
@@ -320,3 +322,21 @@ def test_a_user_s_encoder_of_the_same_name_is_traced(folder, linear, monkeypatch
     first, second = answer(0.5), answer(4.0)
     assert len(seen) == 2 and np.abs(first - second).max() > 1e-3 * np.abs(first).max()
     assert not list(folder.glob("*.name"))
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="maps memory as Linux does")
+def test_code_and_constants_of_a_step_lie_in_one_block():
+    """Free pages, gigabytes apart: LLVM ended a process after a training, because a constant was out of reach."""
+    llvm, target, _ = objects.machine()
+    text = (
+        "@c = constant [2 x double] [double 1.5, double 2.5]\ndefine i64 @run() {\n ret i64 ptrtoint (ptr @c to i64)\n}"
+    )
+    code, kept, far = target.emit_object(llvm.parse_assembly(text)), [], []
+    for _ in range(50):
+        place = objects._loaded(code)
+        far.append(abs(ctypes.CFUNCTYPE(ctypes.c_int64)(place)() - place))
+        hole = [mmap.mmap(-1, mmap.PAGESIZE) for _ in range(3)]
+        unreserved = mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS | 0x4000
+        kept.append((mmap.mmap(-1, 1 << 33, flags=unreserved), hole))
+        hole[1].close()
+    assert max(far) < 1 << 16

@@ -104,7 +104,8 @@ def _hash(text: str) -> str:
 def _loaded(code: bytes) -> int:
     """Return the address of the function `run` of an object file."""
     llvm, target, _ = machine()
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
+    # code and constants in one block: apart by 2 GB in a large process, LLVM ends the process
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target, use_lmm=True)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
