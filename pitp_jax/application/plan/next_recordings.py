@@ -88,7 +88,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
         replace(
             tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: lowers the expected error from {a:.3g} to {b:.3g} %"
         )
-        for k, a, b in zip(places, expected, expected[1:], strict=True)
+        for k, a, b in zip(places, expected[:-1], expected[1:], strict=True)
     ]
     return Next(tuple(chosen), expected, worth, notes)
 
