@@ -39,10 +39,17 @@ def machine() -> tuple[Any, Any, str]:
     llvm.initialize_native_asmprinter()
     processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
     target = llvm.Target.from_default_triple().create_target_machine(
-        cpu=processor, features=features, opt=3, reloc="pic", codemodel="default", jit=True
+        # addresses of 64 bits: constants may lie 2 GB from the code in a large process, where LLVM ended the process
+        cpu=processor,
+        features=features,
+        opt=3,
+        reloc="static",
+        codemodel="large",
+        jit=True,
     )
     _name_functions(llvm)
-    return llvm, target, "\0".join([*map(str, llvm.llvm_version_info), llvm.get_default_triple(), processor, features])
+    known = "large", *map(str, llvm.llvm_version_info), llvm.get_default_triple(), processor, features
+    return llvm, target, "\0".join(known)
 
 
 def _name_functions(llvm) -> None:
@@ -104,8 +111,7 @@ def _hash(text: str) -> str:
 def _loaded(code: bytes) -> int:
     """Return the address of the function `run` of an object file."""
     llvm, target, _ = machine()
-    # code and constants in one block: apart by 2 GB in a large process, LLVM ends the process
-    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target, use_lmm=True)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), target)
     engine.add_object_file(llvm.ObjectFileRef.from_data(code))
     engine.finalize_object()
     _engines.append(engine)
