@@ -149,7 +149,7 @@ def beside_noise(case: Case, lacking: float, averaged: int) -> float:
 def explains_most(outputs: Sequence[np.ndarray], own: float) -> bool:
     """Return whether the nominal's own error is less than a tenth (LISTED) of the outputs' deviation.
 
-    A larger error is no measure of noise: tanks whose linear model left 30 % had "no gap" after a refit.
+    A larger error shows what the model lacks, and is no measure of the noise.
     """
     deviations = [np.std(y) for y in outputs]
     return own < rules.LISTED * float(np.exp(np.mean(np.log(np.maximum(deviations, 1e-300)))))

@@ -11,6 +11,7 @@ It is written for one parameter vector and one record; `simulate.free_runs` comp
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import jax.numpy as jnp
 import numpy as np
@@ -140,35 +141,37 @@ class Simulator:
         stages = np.stack([inputs[:, :-2:2], inputs[:, 1::2], inputs[:, 2::2]], -1)
         before = [u if d.before is None else d.before for u, d in zip(inputs[column, 0], drives, strict=True)]
         begins = np.column_stack([starts, before, [(d.age, d.reached) for d in drives]])
-        core, numbers, rows = self._numbers(slots, order)
-        structure, size = taken_apart(core)[0], numbers.shape[1]
-        begin, step = (_Step(structure, size, drives[0].dt / self.substeps, first) for first in (True, False))
-        parameters = np.concatenate([numbers, rows], 1)
+        structure, numbers = self._plain[order]
+        begin, step = (_Step(structure, len(numbers), drives[0].dt / self.substeps, first) for first in (True, False))
+        parameters = self._parameters(slots, order)
         state = free_runs(begin, parameters, begins, inputs[:, :1], column)[:, 0]
         found = free_runs(step, parameters, state, stages, column)[:, :: self.substeps, 0]
         return np.where(np.abs(found) < FAR, found, np.nan)
 
-    def _numbers(self, slots: np.ndarray, order: int) -> tuple[Model, np.ndarray, np.ndarray]:
-        """Return the model without rows, all its numbers for every run (coefficients first), and the rows' slots."""
-        rows = slots.copy()
+    @cached_property
+    def _plain(self) -> dict[int, tuple[Structure, np.ndarray]]:
+        """Return the model without rows as structure and numbers, by its order."""
+        cores = [core_of(self.model, order) for order in (1, 2)] if self.others is None else [self.others]
+        return {core.order: taken_apart(core) for core in cores}
+
+    def _parameters(self, slots: np.ndarray, order: int) -> np.ndarray:
+        """Return the model's numbers (coefficients first) and the rows' slots of every run, shape (runs, numbers)."""
+        rows, plain = slots.copy(), self._plain[order][1]
         if self.others is None:
-            core = core_of(self.model, order)
             coefficients = slots[:, : order + 1] * np.cumprod([1.0, *rates_of(self.model)])[: order + 1]
         else:
-            core, own = self.others, coefficients_of(self.nominal, order)
+            own = coefficients_of(self.nominal, order)
             rows[:, within_coefficients(self.nominal, order)] = 0.0
             moved = np.array([coefficients_of(s, order) for s in slots]) / np.where(own, own, 1.0)
-            coefficients = taken_apart(core)[1][: order + 1] * np.where(own, moved, 1.0)
-        numbers = np.tile(taken_apart(core)[1], (len(slots), 1))
-        numbers[:, : order + 1] = coefficients
-        return core, numbers, rows
+            coefficients = plain[: order + 1] * np.where(own, moved, 1.0)
+        others = np.tile(plain[order + 1 :], (len(slots), 1))
+        return np.concatenate([coefficients, others, rows], 1)
 
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return delayed voltages at the ends of the steps, (columns, steps + 1), and the column of each simulation.
 
         V|V| is linear in between.
         """
-        square = self.square
         # one delayed input for all simulations with the same record, delay and lag of the input column
         rows = np.stack([records, _delay(slots), slots[:, INDEX[MONITOR]]], 1)
         groups, which = np.unique(rows, axis=0, return_inverse=True)
@@ -177,11 +180,11 @@ class Simulator:
             drive = _without_lag(self.drives[int(record)], lag)
             if drive.film is not None:
                 force = drive.film.force(place * drive.dt - delay)
-                columns.append(root(force) if square else force)
+                columns.append(root(force) if self.square else force)
                 continue
-            force = drive.voltage * np.abs(drive.voltage) if square else drive.voltage
+            force = drive.voltage * np.abs(drive.voltage) if self.square else drive.voltage
             column = np.interp(place - delay / drive.dt, np.arange(len(force)), force)
-            column = root(column) if square else column
+            column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))
         return np.stack(columns), which.ravel()
 
@@ -191,14 +194,13 @@ class Simulator:
         Every step's end has the mean over half a step on either side (over one, at the first), so that the area under
         the force does not depend on the position of the jump within a step.
         """
-        square = self.square
         steps = max((delay + drive.jump) / drive.dt * self.substeps, 0.0)
         place = np.arange(len(column)) - steps
         # part of the step after the jump
         share = np.clip(place + 0.5, 0.0, 1.0)
         share[0] = np.clip(1 - 2 * steps, 0.0, 1.0)
         before = float(drive.before or 0.0)
-        return before + (column - before) * (np.sqrt(share) if square and not before else share)
+        return before + (column - before) * (np.sqrt(share) if self.square and not before else share)
 
 
 def _without_lag(drive: Drive, lag: float) -> Drive:

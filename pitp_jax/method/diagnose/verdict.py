@@ -204,7 +204,7 @@ def rival_without(search: Search, chosen: Hypothesis, without: set) -> Hypothesi
 def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
     """Return each effect's fraction of the removed error (rms) in the order added, by search name.
 
-    By energy a friction that leaves a fifth of an error without it would be a twenty-fifth.
+    An effect that halves a remaining fifth of the error closes 11 % of the error, but 3 % of its energy.
 
     The loss without an effect is less informative: if two effects can replace each other, the loss of either is small.
     """
