@@ -11,17 +11,17 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
-from ...method.model.model import Model
-from ...files.model_file.model_file import save
-from ...method.signal.record import Record
-from ...files.recordings.writing import write_csv, write_text_atomic
 from ...common.picture import Picture, figure_of, finish, new_axes
-from ..pages.drawing import CYCLE, DRIVE, ERROR, PREDICTED, beside, signals, volts
-from ..pages.drawn import FIGURES as HOME
-from ..pages.drawn import write_picture
+from ...files.model_file.model_file import save
+from ...files.recordings.writing import write_csv, write_text_atomic
+from ...method.model.model import Model
+from ...method.signal.record import Record
 from ...method.simulate.decoder import rest_state
 from ...method.simulate.model_runs import evaluate, model_runs
-from .protocol import Demo, Table, excitations, kind, nearest, tables
+from ..pages.drawing import CYCLE, PREDICTED, beside, signals, volts
+from ..pages.drawn import FIGURES as HOME
+from ..pages.drawn import write_picture
+from .protocol import Demo, Table, excitations, nearest, tables
 
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
 FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")

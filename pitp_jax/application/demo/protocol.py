@@ -14,18 +14,18 @@ from dataclasses import dataclass, replace
 import jax
 import numpy as np
 
+from ...common.metrics import e_rms_percent
 from ...method.identify.identification import Identification, identify
 from ...method.invert.feedforward_plan import feedforward
-from ...common.metrics import e_rms_percent
-from ..plant.physics import Plant
-from ..plant.virtual_actuator import plant as virtual_actuator
-from ..plant.virtual_actuator import record, simulate
-from ..plan.excitation import Excitation, protocol, sine, sweep
-from ...method.signal.target import Target
 from ...method.signal.record import Record
+from ...method.signal.target import Target
 from ...method.simulate.prediction import Prediction, predict
 from ...method.train.settings import PRESETS
 from ...method.train.training import Progress, Training, train
+from ..plan.excitation import Excitation, protocol, sine, sweep
+from ..plant.physics import Plant
+from ..plant.virtual_actuator import plant as virtual_actuator
+from ..plant.virtual_actuator import record, simulate
 
 SEED = 20
 PREDICTION_PAPER = {  # Table I: e_rms / % at f / Hz
