@@ -33,6 +33,7 @@ from pitp_jax.method.diagnose.library import (  # fmt: skip
 )
 from pitp_jax.method.diagnose.simulator import Drive, Simulator
 from pitp_jax.method.effects import CATALOGUE, effect
+from pitp_jax.method.model.drive import ElectrodeLag
 from pitp_jax.method.model.fitted import model_of as model_of_file
 from pitp_jax.method.model.input_map import LinearInput, SquareInput
 from pitp_jax.method.signal.record import Record
@@ -256,6 +257,7 @@ def test_a_trained_nominal_runs_with_its_encoder_beside_an_effect_and_changed_co
     """Beside the rollout of the model that would be handed back, from records of which the case is made."""
     given = pitp.load(MODELS / f"{name}.pitp")
     model = replace(model_of_file(given), substeps=4)
+    model = replace(model, drive=ElectrodeLag(jnp.float32(np.log(0.3 / model.natural_frequency))))
     time, top = np.arange(600) * model.dt, np.sqrt(float(model.scales.force))
     factors = np.array([1.2, 0.8, 1.1, *[1.0] * (model.order - 2)])
     lag = effect("electrode_rc", tau=0.4 / model.natural_frequency)
