@@ -22,6 +22,23 @@ CEILINGS = {
     "application/check": 8150, "application/against": 3600, "application/demo": 4300, "application/plant": 2500,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
+OPENS, CLOSES = (getattr(tokenize, f"FSTRING_{end}", None) for end in ("START", "END"))  # since Python 3.12
+
+
+def tokens_in(text: str) -> list[tokenize.TokenInfo]:
+    """Tokens of a file; an f-string is one, as before Python 3.12, which takes it apart."""
+    tokens, opened = [], []
+    lines = text.splitlines(keepends=True)
+    for token in tokenize.generate_tokens(io.StringIO(text).readline):
+        if token.type == OPENS:
+            opened.append(token)
+        elif token.type == CLOSES:
+            (row, column), (last, end) = opened.pop().start, token.end
+            whole = "".join(lines[row - 1 : last])[column : len("".join(lines[row - 1 : last - 1])) + end]
+            token = tokenize.TokenInfo(tokenize.STRING, whole, (row, column), token.end, token.line)
+        if not opened:
+            tokens.append(token)
+    return tokens
 
 
 def tokens_of(text: str) -> int:
@@ -33,9 +50,7 @@ def tokens_of(text: str) -> int:
     ]
     inside = {line for doc in docs for line in range(doc.lineno, (doc.end_lineno or doc.lineno) + 1)}
     counted = [
-        t
-        for t in tokenize.generate_tokens(io.StringIO(text).readline)
-        if t.type not in LAYOUT and not (t.type == tokenize.STRING and t.start[0] in inside)
+        t for t in tokens_in(text) if t.type not in LAYOUT and not (t.type == tokenize.STRING and t.start[0] in inside)
     ]
     return sum(1 + (t.type == tokenize.STRING) * (len(t.string) // 60) for t in counted)
 
@@ -44,6 +59,11 @@ def test_comments_and_docstrings_do_not_count():
     plain = 'x = 1\n\n\ndef f(a):\n    return a + "' + "b" * 130 + '"\n'
     told = '"""About."""\nx = 1  # why\n\n\ndef f(a):\n    """Say."""\n    return a + "' + "b" * 130 + '"\n'
     assert tokens_of(plain) == tokens_of(told) == 15  # 3 and 10, and 2 for the long string
+
+
+def test_a_formatted_string_is_one_token_on_every_python():
+    text = 'def f(a):\n    return f"{a:>{a}} and {a!r}" + f"""{f"{a}"}\n' + "b" * 60 + '"""\n'
+    assert tokens_of(text) == 10 + 1  # 60 characters of the second string count as one more
 
 
 @pytest.mark.parametrize("room", CEILINGS)
