@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import lsim
@@ -11,7 +10,7 @@ from typed import of_kind
 
 from pitp_jax import Record, identify, train
 from pitp_jax.method.signal.initial_state import Beginning
-from pitp_jax.method.simulate.beginnings import held_states, with_zero_at_rest
+from pitp_jax.method.simulate.beginnings import settled_states, with_zero_at_rest
 from pitp_jax.method.train.settings import preset_of
 
 DT, SAMPLES = 5e-3, 2400
@@ -35,7 +34,7 @@ def from_rest(name, size, hz):
 
 
 def settled_at(model, volts):
-    states = held_states(model, jnp.asarray([volts], jnp.float32), DT, jnp.zeros(1))
+    states = settled_states(model, np.array([volts]), DT, np.zeros(1))
     return float(states[0, 0]) * float(model.scales.state[0])
 
 

@@ -22,7 +22,7 @@ from pitp_jax.method.simulate.beginnings import settled_states
 from pitp_jax.method.simulate.compiled.kernel import kernel
 from pitp_jax.method.simulate.decoder import rollout_batch
 from pitp_jax.method.simulate.free_runs import free_runs, scanned_runs
-from pitp_jax.method.simulate.model_runs import ModelStep, film_of, model_runs, sample, taken_apart, way_of
+from pitp_jax.method.simulate.model_runs import Models, ModelStep, film_of, model_runs, sample, taken_apart, way_of
 
 DT, STEPS = 1e-3, 2000
 T = np.arange(STEPS) * DT
@@ -176,3 +176,21 @@ def test_the_film_lags_and_delays_as_in_the_differentiable_way(linear):
         found = film_of(model, volts, DT, np.full((3, 2), first))
         truth = [ports.filmed(model, jnp.asarray(v, jnp.float32), DT, first == 0) for v in volts]
         np.testing.assert_allclose(found, truth, rtol=0, atol=2e-3)
+
+
+def test_every_run_may_have_a_model_of_its_own(linear):
+    """Two models with other coefficients, lags and delays, side by side as each alone."""
+    spec = next(s for s in CATALOGUE if s.kernel is DELAY)
+
+    def one(stiffer, delay, tau):
+        model = linear(2)
+        drive, late = ElectrodeLag(jnp.log(jnp.float32(tau))), spec(jnp.float32(delay))
+        return replace(model, coefficients=model.coefficients * stiffer, drive=drive, effects=(late,))
+
+    each, start = [one(1.0, 2.4e-3, 5e-3), one(1.3, 5.2e-3, 8e-3)], np.zeros((2, 2))
+    both, volts = Models.of(each), VOLTS[:2] + 100
+    alone = [model_runs(m, volts[k : k + 1], DT, start[:1])[1][0] for k, m in enumerate(each)]
+    np.testing.assert_allclose(model_runs(both, volts, DT, start)[1], alone, rtol=1e-12, atol=1e-14)
+    settled = settled_states(both, volts[:, 0], DT, np.zeros(2))
+    for k, m in enumerate(each):
+        np.testing.assert_allclose(settled[k], settled_states(m, volts[k, :1], DT, np.zeros(1))[0], rtol=1e-12)

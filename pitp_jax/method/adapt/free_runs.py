@@ -1,13 +1,14 @@
 """Fit simulations of a model to recordings, for many sets of its changed parameters at once.
 
-    e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences (0.3 %)
+    e = 100 (d (y - offset) - x(t; z)) / range  at the samples that count,   J = de/dz by forward differences
 
-One batch holds every record under z and under z with each parameter changed a little: rows of one scan, which share the
-encoder's weights. A record that starts settled starts from the equilibrium of its own factors; one that starts in
-motion has its initial state among the parameters.
+One call of `free_runs` holds every record under z and under z with each parameter changed a little. A record that
+starts settled starts from the equilibrium of its own factors; one that starts in motion has its initial state among the
+parameters.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
@@ -19,17 +20,14 @@ from ...common.errors import BadInput
 from ..fit.factors import Factors, moved
 from ..fit.minimise import Normal, minimise
 from ..model.model import Model
-from ..model.programs import jit
+from ..model.programs import in_double, jit
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
-from ..simulate import ports
-from ..simulate.batched_rollout import in_rows, rows_rollout
-from ..simulate.beginnings import held_states
-from ..simulate.decoder import at_rest, rollout
+from ..simulate.beginnings import settled_states
+from ..simulate.model_runs import Models, model_runs
 from ..simulate.prediction import FAR
 
-# of forward differences: logarithms; times, and first states in scales: float32 rounds a run at 1e-6 of its range
-_STEP, _LATER = 3e-3, 0.02
+_STEP = 1e-5  # of forward differences in float64
 _MOST_STEPS, _ENOUGH = 10, 1e-3  # of a fit, and the relative decrease below which it ends
 _RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias at which a fit may start
 _BLOCKS = 8
@@ -68,7 +66,7 @@ def session(
     model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning], noise
 ) -> Session:
     """Prepare recordings for the fit; `noise`: standard deviation of each sensor's noise (m)."""
-    size = -(-max(r.samples for r in records) // 1024) * 1024  # few lengths, few programs to compile
+    size = max(r.samples for r in records)
     voltage, target, weight, half = (np.zeros((len(records), size)) for _ in range(4))
     loose, floor = np.zeros(len(records)), np.zeros(len(records))
     for k, (r, b) in enumerate(zip(records, begun, strict=True)):
@@ -87,33 +85,8 @@ def session(
 
 
 @jit
-def runs(
-    model: Model, factors: Factors, z: Float[Array, "rows numbers"], start: Float[Array, "rows state"],
-    voltage: Float[Array, "rows time"], held: Float[Array, " rows"] | None, dt: float,
-) -> Float[Array, "rows time"]:  # fmt: skip
-    """Simulate every row of `voltage` with its own changed parameters; return scaled readings.
-
-    `held`: 1 for rows that start in equilibrium at u(0).
-    """
-    if held is not None:
-
-        def settled(z, u):
-            return held_states(moved(model, factors, z, dt), u[None], dt, jnp.zeros(1, z.dtype))[0]
-
-        # a softer actuator is held further out: from the old equilibrium its run would start with a transient
-        equilibrium = jax.vmap(settled)(z, voltage[:, 0])
-        start = jnp.where((held > 0)[:, None] & jnp.isfinite(equilibrium), equilibrium, start)
-    if not in_rows(model):
-
-        def one(z, s, u):
-            here = moved(model, factors, z, dt)
-            return ports.readings(here, rollout(here, u, dt, s))
-
-        return jax.vmap(one)(z, start, voltage)
-    film = jax.vmap(lambda z, u, r: moved(model, factors, z, dt).drive.film(u, dt, r))(
-        z, voltage, at_rest(model, start)
-    )
-    return rows_rollout(moved(model, factors, z.T, dt), film, dt, start)[..., 0]
+def _moved(model: Model, factors: Factors, z: Float[Array, " numbers"], dt: float) -> Model:
+    return moved(model, factors, z, dt)
 
 
 class Fit(NamedTuple):
@@ -140,19 +113,22 @@ class Problem:
 
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Simulate rows of (parameters z, shift of initial states); return scaled readings, (rows, records, T)."""
-        s, records, wanted = self.seen, len(self.seen.voltage), len(z)
-        rows = 1 + len(self.factors.names) + len(self.moving) * self.shifts  # always as many: one program for every fit
-        z, shift = (np.concatenate([a, np.repeat(a[:1], rows - wanted, 0)]) for a in (z, shift))
-        start = np.tile(s.start, (rows, 1)).reshape(rows, records, -1)
-        start[:, self.moving] += shift.reshape(rows, len(self.moving), -1) if self.moving else 0.0
-        held = np.tile([b == "held" for b in s.begins], rows) if "held" in s.begins else None
-        dtype = self.model.coefficients.dtype
-        y = runs(
-            self.model, self.factors, jnp.asarray(np.repeat(z, records, 0), dtype),
-            jnp.asarray(start.reshape(rows * records, -1), dtype), jnp.asarray(np.tile(s.voltage, (rows, 1)), dtype),
-            None if held is None else jnp.asarray(held, dtype), s.dt,
-        )  # fmt: skip
-        return np.asarray(y, np.float64).reshape(rows, records, -1)[:wanted]
+        s, records, rows = self.seen, len(self.seen.voltage), len(z)
+        with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+            model = in_double(self.model)
+            models = Models.of([_moved(model, self.factors, jnp.asarray(one), s.dt) for one in z])
+        many, start = replace(models, numbers=np.repeat(models.numbers, records, 0)), np.tile(s.start, (rows, 1, 1))
+        if self.moving:
+            start[:, self.moving] += shift.reshape(rows, len(self.moving), -1)
+        start, voltage = start.reshape(rows * records, -1), np.tile(s.voltage, (rows, 1))
+        held = np.flatnonzero(np.tile([b == "held" for b in s.begins], rows))
+        if len(held):
+            # a softer actuator is held further out: from the old equilibrium its run would start with a transient
+            settled = settled_states(
+                replace(many, numbers=many.numbers[held]), voltage[held, 0], s.dt, np.zeros(len(held))
+            )
+            start[held] = np.where(np.isfinite(settled), settled, start[held])
+        return model_runs(many, voltage, s.dt, start)[1].reshape(rows, records, -1)
 
     def at(self, z: np.ndarray, weight: np.ndarray) -> Fit:
         """Fit only offsets and initial states, with the parameters z fixed."""
@@ -165,16 +141,12 @@ class Problem:
         """
         s, names = self.seen, self.factors.names
         axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
-        rows, guesses = 1 + len(names), []
-        tried = np.concatenate([[0.0], np.delete(_RESONANCES, len(_RESONANCES) // 2)])
-        for first in range(0, len(tried), rows):
-            z = tried[first : first + rows, None] * axis
-            y = self.readings(z, np.tile(np.zeros(len(self.moving) * self.shifts), (len(z), 1)))
-            # a diverged run gets a large error, so that it is never chosen
-            for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
-                want = s.weight * s.target
-                ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
-                guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
+        z, want, guesses = _RESONANCES[:, None] * axis, s.weight * s.target, []
+        y = self.readings(z, np.zeros((len(z), len(self.moving) * self.shifts)))
+        # a diverged run gets a large error, so that it is never chosen
+        for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
+            ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
+            guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
         return min(guesses, key=lambda g: g[0])[1]
 
     def fit(
@@ -199,18 +171,17 @@ class Problem:
         owner = np.repeat(np.arange(records), s.voltage.shape[1])
         zeros = ((owner[:, None] == np.arange(records)) & (scale > 0)[:, None]).astype(float)
         times = np.array([free[self.factors.tokens :, k].any() for k in range(count)], bool)
-        size = np.concatenate([np.where(times, _LATER, _STEP), np.full(shifts, _LATER)])
         low, tried = self.factors.lowest(), []
 
         def normal(p) -> Normal:
             base, shift = np.maximum(fixed + free @ p[:count], low), p[count : count + shifts]
-            nudges = np.eye(count + shifts) * size
+            nudges = np.eye(count + shifts) * _STEP
             z = np.concatenate([base[None], base + nudges[:, :count] @ free.T])
             y = self.readings(z, np.concatenate([shift[None], shift + nudges[:, count:]])).reshape(len(z), -1)
             if not np.isfinite(y).all() or np.abs(y).max() > FAR:
                 return Normal(np.inf, np.zeros(len(p)), np.eye(len(p)))
             e = scale * (y[0] - target) + zeros @ p[count + shifts :]
-            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / size, zeros], 1)  # an offset adds itself, exactly
+            jacobian = np.concatenate([(scale * (y[1:] - y[0])).T / _STEP, zeros], 1)  # an offset adds itself, exactly
             cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
             tried.append((cost, base, e, jacobian))
             gradient = unit**2 * jacobian.T @ e + p / spread**2

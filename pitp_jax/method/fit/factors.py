@@ -23,7 +23,7 @@ from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
 
 _UNIT = 0.1  # of an increase of a time, in 1 / omega_0
-_SHORTEST = 1e-3  # of a lag, in samples: counts as none
+_SHORTEST = 1e-9  # of a lag, in samples: counts as none
 _COEFFICIENT, _OTHER = 0.3, 0.5  # prior standard deviations of logarithms: coefficients, creep
 _TILT = 0.05  # of the two tilts of a trained encoder, per scale of x
 _TIME = 2.0  # and of increases of times, in units

@@ -10,54 +10,17 @@
 from collections.abc import Sequence
 from dataclasses import replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from ..model.model import Model
-from ..model.programs import jit
 from ..signal.initial_state import Beginning
 from ..signal.record import Record
 from ..signal.start import Response, estimate_start, first_part
-from .decoder import step, still_state
-from .model_runs import evaluate, model_runs, runs_of, sample
+from .decoder import still_state
+from .model_runs import Models, evaluate, model_runs, models_of, runs_of, sample
 
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
-
-
-@jit
-def held_states(
-    model: Model, voltage: Float[Array, " records"], dt: float, age: Float[Array, " records"]
-) -> Float[Array, "records state"]:
-    """Solve for the states in equilibrium at these voltages; nan if none lies within ten scaled displacements.
-
-    At an equilibrium, one decoder step from (x, 0, ...) does not change x^(n-1), and the sign of the change reverses
-    there.
-    """
-
-    def one(volts, age):
-        stages = jnp.full((2 * model.substeps + 1,), volts)
-
-        def state(x):
-            return still_state(model, x, volts, age)
-
-        def change(x):
-            return (step(model, state(x), stages, dt) - state(x))[model.order - 1]
-
-        low, high = jnp.asarray(-_FAR, voltage.dtype), jnp.asarray(_FAR, voltage.dtype)
-        exists = jnp.asarray(True)
-        # Nested grids instead of Newton: a snapping film has several equilibria, and the one nearest to 0 is found.
-        for _ in range(_ROUNDS):
-            grid = jnp.linspace(low, high, _GRID)
-            up = jax.vmap(change)(grid) > 0
-            turns = up[:-1] & ~up[1:]  # accelerated up below it and down above it: stable
-            place = jnp.argmin(jnp.where(turns, jnp.abs(grid[:-1]), jnp.inf))
-            exists = exists & turns.any()
-            low, high = grid[place], grid[place + 1]
-        return jnp.where(exists, state((low + high) / 2), jnp.nan)
-
-    return jax.vmap(one)(voltage, age)
 
 
 def still(model: Model, row: Float[Array, "3"], *_) -> tuple[Array, Array]:
@@ -66,21 +29,28 @@ def still(model: Model, row: Float[Array, "3"], *_) -> tuple[Array, Array]:
 
 
 def settled_states(
-    model: Model, volts: Float[np.ndarray, " records"], dt: float, ages: Float[np.ndarray, " records"]
+    model: Model | Models, volts: Float[np.ndarray, " records"], dt: float, ages: Float[np.ndarray, " records"]
 ) -> Float[np.ndarray, "records state"]:
-    """Compute `held_states` by `free_runs`."""
-    low, high, exists = np.full(len(volts), -_FAR), np.full(len(volts), _FAR), np.full(len(volts), True)
-    many = [np.repeat(a, _GRID) for a in (volts, ages)]
-    stages = np.broadcast_to(many[0][:, None, None], (len(many[0]), 2, 2 * model.substeps + 1))
+    """Solve for the states in equilibrium at these voltages; nan if none lies within ten scaled displacements.
+
+    At an equilibrium, one decoder step from (x, 0, ...) does not change x^(n-1), and the sign of the change reverses
+    there.
+    """
+    models, low, high = models_of(model), np.full(len(volts), -_FAR), np.full(len(volts), _FAR)
+    exists, first = np.full(len(volts), True), models[0]
+    many, by_grid = [np.repeat(a, _GRID) for a in (volts, ages)], models.repeated(_GRID)
+    stages = np.broadcast_to(many[0][:, None, None], (len(many[0]), 2, 2 * first.substeps + 1))
+    # Nested grids instead of Newton: a snapping film has several equilibria, and the one nearest to 0 is found.
     for _ in range(_ROUNDS):
         grid = np.linspace(low, high, _GRID, axis=1)
-        start, after = runs_of(sample, model, evaluate(still, model, grid.ravel(), *many), stages, dt).swapaxes(0, 1)
-        up = (after - start)[:, model.order - 1].reshape(grid.shape) > 0
-        turns = up[:, :-1] & ~up[:, 1:]
+        begun = evaluate(still, by_grid, grid.ravel(), *many)
+        start, after = runs_of(sample, by_grid, begun, stages, dt).swapaxes(0, 1)
+        up = (after - start)[:, first.order - 1].reshape(grid.shape) > 0
+        turns = up[:, :-1] & ~up[:, 1:]  # accelerated up below it and down above it: stable
         place = np.argmin(np.where(turns, np.abs(grid[:, :-1]), np.inf), axis=1)
         exists &= turns.any(1)
         low, high = (np.take_along_axis(grid, place[:, None] + k, 1)[:, 0] for k in (0, 1))
-    return np.where(exists[:, None], evaluate(still, model, (low + high) / 2, volts, ages), np.nan)
+    return np.where(exists[:, None], evaluate(still, models, (low + high) / 2, volts, ages), np.nan)
 
 
 def beginnings(

@@ -2,12 +2,13 @@
 
     film = drive(u)  ->  stage voltages of every sample  ->  free_runs(step of the model)  ->  states, readings
 
-All numbers of a model are parameters of the run, so that models of one structure share one compiled step. It is the
+All numbers of a model are parameters of the run, so that models of one structure share one compiled step and may differ
+from run to run. It is the
 step of `decoder.rollout`, which is the way to trace, differentiate or shard a simulation.
 """
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from typing import Any
@@ -40,7 +41,7 @@ class Structure:
     tree: Any
     leaves: tuple
 
-    def filled(self, numbers: Float[Array, " p"]) -> Model:
+    def filled(self, numbers: Float[np.ndarray | Array, " p"]) -> Model:
         """Return the model with these numbers."""
         leaves, first = [], 0
         for leaf in self.leaves:
@@ -73,22 +74,54 @@ def taken_apart(model: Model) -> tuple[Structure, Float[np.ndarray, " p"]]:
     return Structure(tree, leaves), np.concatenate([a.ravel() for a in numbers])
 
 
+@dataclass(frozen=True)
+class Models:
+    """The model of every run, or one for all runs: a structure that they share, and their numbers.
+
+    Attributes:
+        structure: of each.
+        numbers: shape (runs or 1, p).
+    """
+
+    structure: Structure
+    numbers: Float[np.ndarray, "models p"]
+
+    @classmethod
+    def of(cls, models: Sequence[Model]) -> "Models":
+        """Take models of one structure apart."""
+        structures, numbers = zip(*map(taken_apart, models), strict=True)
+        return cls(structures[0], np.stack(numbers))
+
+    def repeated(self, times: int) -> "Models":
+        """Return every model `times` times in a row; one for all runs stays one."""
+        return self if len(self.numbers) == 1 else Models(self.structure, np.repeat(self.numbers, times, 0))
+
+    def __getitem__(self, run: int) -> Model:
+        """Return the model of a run."""
+        return self.structure.filled(self.numbers[run % len(self.numbers)])
+
+
+def models_of(model: Model | Models) -> Models:
+    """Return a model as that of all runs; `Models` as they are."""
+    return model if isinstance(model, Models) else Models.of([model])
+
+
 def runs_of(
-    function: Callable, model: Model, start: Float[np.ndarray, "runs state"], inputs, dt: float = 0.0
+    function: Callable, model: Model | Models, start: Float[np.ndarray, "runs state"], inputs, dt: float = 0.0
 ) -> Float[np.ndarray, "runs time outputs"]:
     """Compute `free_runs` of a function of a model; a single input serves all runs.
 
     Args:
         function: as `ModelStep` takes it, of a module, so that it compiles once.
-        model: the same for all runs.
+        model: the same for all runs, or the models of the runs.
         start: initial states.
         inputs: shape (runs or 1, time) or (runs or 1, time, k).
         dt: sampling interval, s.
     """
-    structure, numbers = taken_apart(model)
-    parameters = np.broadcast_to(numbers, (len(start), len(numbers)))
+    models = models_of(model)
+    parameters = np.broadcast_to(models.numbers, (len(start), models.numbers.shape[1]))
     return free_runs(
-        ModelStep(function, structure, float(dt)), parameters, start, inputs, np.arange(len(start)) % len(inputs)
+        ModelStep(function, models.structure, float(dt)), parameters, start, inputs, np.arange(len(start)) % len(inputs)
     )
 
 
@@ -98,17 +131,20 @@ def sample(model: Model, state, stages, dt):
 
 
 def model_runs(
-    model: Model, voltage: Float[np.ndarray, "records time"], dt: float, start: Float[np.ndarray, "records state"]
+    model: Model | Models,
+    voltage: Float[np.ndarray, "records time"],
+    dt: float,
+    start: Float[np.ndarray, "records state"],
 ) -> tuple[Float[np.ndarray, "records time state"], Float[np.ndarray, "records time"]]:
     """Compute the scaled states and the sensor's scaled readings of all records, from rest or from other states."""
-    start = np.asarray(start, np.float64)
-    film = film_of(model, np.asarray(voltage, np.float64), dt, start)
-    stages = np.stack([between(v, model.hold, stage_fractions(model), np) for v in film])
-    outputs = runs_of(sample, model, start, stages, dt)
+    models, start = models_of(model), np.asarray(start, np.float64)
+    first, film = models[0], film_of(models, np.asarray(voltage, np.float64), dt, start)
+    stages = np.stack([between(v, first.hold, stage_fractions(first), np) for v in film])
+    outputs = runs_of(sample, models, start, stages, dt)
     return outputs[..., :-1], outputs[..., -1]
 
 
-def evaluate(function: Callable, model: Model, *numbers) -> Float[np.ndarray, "rows outputs"]:
+def evaluate(function: Callable, model: Model | Models, *numbers) -> Float[np.ndarray, "rows outputs"]:
     """Compute `function(model, row, ...)` for rows of numbers, as one step of `runs_of`; columns are broadcast."""
     return runs_of(function, model, np.column_stack(np.broadcast_arrays(*numbers)), np.zeros((1, 1)))[:, 0]
 
@@ -123,19 +159,21 @@ def way_of(model: Model) -> str:
     return f"compiled, if every operation of {type(own).__name__} has a scalar form; otherwise by the JAX scan"
 
 
-def film_of(model: Model, voltage, dt: float, start) -> Float[np.ndarray, "records time"]:
+def film_of(model: Model | Models, voltage, dt: float, start) -> Float[np.ndarray, "records time"]:
     """Compute the film's voltages (V): behind delays and the electrodes' lag."""
+    models, places = models_of(model), np.arange(-1, voltage.shape[1])
+    first = models[0]
     # before the record, a rest was at 0 V; any other start is assumed at the first voltage
-    before = np.where(start[:, : model.order].any(1), voltage[:, 0], 0.0)
-    places = np.arange(-1, voltage.shape[1])
-    for effect in model.effects:
+    before = np.where(start[:, : first.order].any(1), voltage[:, 0], 0.0)
+    for k, effect in enumerate(first.effects):
         if effect.delays:
-            late = places[1:] - float(effect.time) / dt
-            voltage = np.stack([np.interp(late, places, np.append(b, v)) for b, v in zip(before, voltage, strict=True)])
-    if isinstance(model.drive, DirectDrive):
+            late = [places[1:] - float(models[run].effects[k].time) / dt for run in range(len(models.numbers))]
+            volts = np.column_stack([before, voltage])
+            voltage = np.stack([np.interp(late[run % len(late)], places, v) for run, v in enumerate(volts)])
+    if isinstance(first.drive, DirectDrive):
         return voltage
     ahead = np.append(voltage[:, 1:], voltage[:, -1:], axis=1)
-    return runs_of(_film_after, model, np.column_stack([before, voltage[:, 0]]), ahead, dt)[..., 0]
+    return runs_of(_film_after, models, np.column_stack([before, voltage[:, 0]]), ahead, dt)[..., 0]
 
 
 def _film_after(model, state, volts, dt):
