@@ -70,7 +70,7 @@ def test_simulations_are_counted_and_blocks_of_them_change_nothing(stiff, monkey
         fitter = Fitter(stiff)
         fits = fitter.fit([start.again() for _ in range(3)], 0)
         fitter.differentiate(fits)
-        return fits, fitter.budget.lane_steps
+        return fits, fitter.budget.simulated_steps
 
     whole, steps = fitted()
     samples = sum(len(s.output) for s in stiff.series) * stiff.simulator.substeps

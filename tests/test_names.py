@@ -225,7 +225,7 @@ def test_of_sets_as_good_the_one_with_fewer_numbers_is_taken():
 def test_time_is_kept_for_judging_what_was_fitted(monkeypatch):
     monkeypatch.setattr(time, "monotonic", lambda: 60.0)
     budget = Budget(100.0, began=0.0)
-    budget.lane_steps = 60
+    budget.simulated_steps = 60
     with budget.keeping(20):  # at a step a second
         assert budget.reserve == pytest.approx(20.0, rel=0.01) and budget.allows("a fit")
     assert budget.reserve == 0.0

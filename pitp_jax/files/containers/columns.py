@@ -95,13 +95,13 @@ def _one_signal(one: Loaded) -> Loaded:
         Refused: a row for each of several joints.
     """
     signals = [one.values[q] for q in ("voltage", "displacement") if q in one.values]
-    found = None
+    turns = None
     if one.rows is None and "time" in one.values:
         places = [choice.place for choice in one.chosen.values() if choice.place is not None]
-        found = keys_in_turn(one.table, places, one.values["time"], signals)
-    if found is None:
+        turns = keys_in_turn(one.table, places, one.values["time"], signals)
+    if turns is None:
         return one
-    name, keys = found
+    name, keys = turns
     some = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
     why = f"column {name!r} has {len(keys)} values ({some}) that take turns, so each row is of one of them; split by it"
     raise Refused(one.table.source, why, ["--split-by", name])
@@ -212,10 +212,10 @@ def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.nda
     time, voltage, output = (loaded[q] for q in ("time", "voltage", "displacement"))
     if not len(time) == len(voltage) == len(output) or not (np.diff(time) > 0).all() or not np.isfinite(voltage).all():
         return loaded, None, chosen, 1.0
-    found = refreshed(output)
-    if found is None:
+    refreshes = refreshed(output)
+    if refreshes is None:
         return loaded, None, chosen, 1.0
-    at, period = found
+    at, period = refreshes
     rows = np.ceil(at - 1e-6).astype(int)
     clock = np.interp(at, np.arange(len(time)), time)
     held = {"time": clock, "displacement": output[rows]}

@@ -126,8 +126,8 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     said = stem != ending[1].rstrip(" /_,:;-") or text.lower().startswith("in ")
     if not said and unit in _ROLE_OF and len(ending[2]) == 1 + 2 * (unit == "min"):
         words = _words(stem)
-        suits = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
-        if not suits and not (unit == "m" and words & _COMMANDS):  # a commanded position
+        is_plausible = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
+        if not is_plausible and not (unit == "m" and words & _COMMANDS):  # a commanded position
             return text, None, None  # `Channel A` is not a current
     return stem, unit, None
 

@@ -83,10 +83,10 @@ def write_sources(plan: Plan, folder: Path) -> None:
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
     """Write the files beside the C sources: test vector, Makefile, example loop and README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
-    square, told = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
+    square, rows = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
     values |= {
-        "voltage": table(writer, test.voltage[told]), "displacement": table(writer, test.displacement[told]),
-        "targets": table(writer, test.motion[told]), "planned": table(writer, test.planned[told]),
+        "voltage": table(writer, test.voltage[rows]), "displacement": table(writer, test.displacement[rows]),
+        "targets": table(writer, test.motion[rows]), "planned": table(writer, test.planned[rows]),
         "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])" if square else "u - (double)planned[k]",
         "target_error": "(got * got) - (right * right)" if square else "got - right",
         "target_force": "right * right" if square else "right",

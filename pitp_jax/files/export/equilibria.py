@@ -68,7 +68,7 @@ def equilibria(model: Model) -> list[Equilibrium]:
 
     low, high = _voltages(model)
     least, most = (_force(model, u) for u in (low, high))
-    found = []
+    points = []
     for end in _ends(model):
         if end == 0 or (end < 0 and model.input_map.one_sided):
             continue
@@ -76,8 +76,8 @@ def equilibria(model: Model) -> list[Equilibrium]:
         for place, force, stiffness in zip(x, *holding(x), strict=True):
             u = _bracketed(model, float(force), low, high)
             if u is not None and (u > 0 or not model.input_map.one_sided):
-                found.append(Equilibrium(float(place), u, float(stiffness)))
-    return found
+                points.append(Equilibrium(float(place), u, float(stiffness)))
+    return points
 
 
 def holding_force(model: Model, x):

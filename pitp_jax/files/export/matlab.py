@@ -45,10 +45,10 @@ def export_matlab(
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write a README, and a MATLAB function that checks the functions with the test vector."""
     test, square = plan.test, plan.model.input_map.one_sided
-    told = slice(test.every - 1, None, test.every)
+    rows = slice(test.every - 1, None, test.every)
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
-    values |= {name: ";\n".join(map(repr, column[told].tolist())) for name, column in columns.items()}
-    values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion[told].tolist())
+    values |= {name: ";\n".join(map(repr, column[rows].tolist())) for name, column in columns.items()}
+    values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion[rows].tolist())
     values["force_error"] = "u .^ 2 - planned .^ 2" if square else "u - planned"
     (folder / f"pitp_{plan.name}_check.m").write_text(filled("check.m", values), encoding="utf-8")
     (folder / "README.md").write_text(filled("README_matlab.md", values), encoding="utf-8")

@@ -23,27 +23,29 @@ _WEIGHT = "softening weight"
 _TURN = 2 * math.pi  # rad; the far side of a stop that was found only on one side
 
 
-def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
+def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], list[NotWritten], str]:
     """Return the changes to write into a MuJoCo file, and the parameters that the file cannot hold.
 
     Args:
         joint: as it is in the file.
-        told: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
+        table: the parameters of the diagnosis, in units of the command (position_gain None) or of torque for a motor.
 
     Returns:
         changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
-    rows = {p.name: p for p in told if _is_known(p) and p.determined}
+    rows = {p.name: p for p in table if _is_known(p) and p.determined}
     f = joint.torque_per_command
-    k, beside = _gain_factor(joint, {p.name: p for p in told}, rows)
-    found: list[Change] = []
+    k, beside = _gain_factor(joint, {p.name: p for p in table}, rows)
+    changes: list[Change] = []
     if k != 1.0:
-        found += _gain(joint, k, beside)
+        changes += _gain(joint, k, beside)
     for name, attribute, unit in (
         ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
         ("coulomb_friction level", "frictionloss", "N m"),
     ):  # fmt: skip
-        row = rows.get(name) or (next((p for p in told if p.name == name and p.determined), None) if k != 1.0 else None)
+        row = rows.get(name) or (
+            next((p for p in table if p.name == name and p.determined), None) if k != 1.0 else None
+        )
         if row is None:
             continue
         difference = f * (k * row.robot - row.simulator)
@@ -53,14 +55,14 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         if error is not None and abs(difference) < 2 * error:
             continue
         old = getattr(joint, attribute)
-        found.append(
+        changes.append(
             _moved(
                 "joint", attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit), 0.0
             )
         )
-    found, element = _with_weight(joint, found, rows.get(_WEIGHT), f, k)
-    found += _of_actuator(joint, rows, f * k)
-    found += _stops(joint, rows)
+    changes, element = _with_weight(joint, changes, rows.get(_WEIGHT), f, k)
+    changes += _of_actuator(joint, rows, f * k)
+    changes += _stops(joint, rows)
     written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
                "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
                "end_stop place, above", "end_stop place, below"}  # fmt: skip
@@ -70,34 +72,34 @@ def changes_of(joint: Joint, told: Sequence[Parameter]) -> tuple[list[Change], l
         written.discard("electrode_rc tau")
     elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
         written.add("sensor_lag tau")
-    left = [
+    not_written = [
         NotWritten(p.words, _value(p), NAMES.get(name, Names("")).substitute)
         for name, p in rows.items() if name not in written
     ]  # fmt: skip
     unknown = "none: these recordings do not determine it, so the file keeps its own value"
-    left += [NotWritten(p.words, _value(p), unknown) for p in told if p.difference and not p.determined]
+    not_written += [NotWritten(p.words, _value(p), unknown) for p in table if p.difference and not p.determined]
     if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
         way = "write the motor as <general> with dyntype and dynprm"
-        left = [replace(n, way=way) if n.way == "none" else n for n in left]
-    return found, left, element
+        not_written = [replace(n, way=way) if n.way == "none" else n for n in not_written]
+    return changes, not_written, element
 
 
 def _with_weight(
-    joint: Joint, found: list[Change], row: Parameter | None, f: float, k: float
+    joint: Joint, changes: list[Change], row: Parameter | None, f: float, k: float
 ) -> tuple[list[Change], str]:
     """Add a weight on the arm to the changes, and subtract its inertia from the joint's armature."""
     if row is None or not joint.hinge:
-        return found, ""
-    changed = next((c for c in found if c.attribute == "armature"), None)
+        return changes, ""
+    changed = next((c for c in changes if c.attribute == "armature"), None)
     armature = joint.armature if changed is None else float(changed.new)
     error = None if row.stderr is None else f * k * row.stderr
     hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
     if hung is None:
-        return found, ""
+        return changes, ""
     weight, element, rest = hung
     new = _moved("joint", "armature", joint.armature, rest, None, "kg m^2")
     new = replace(new, text=f"{new.text}, less the inertia of the weight below")
-    return [*(c for c in found if c is not changed), new, weight], element
+    return [*(c for c in changes if c is not changed), new, weight], element
 
 
 def _is_known(p: Parameter) -> bool:
@@ -165,27 +167,27 @@ def _lag_attribute(joint: Joint) -> str | None:
 
 def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> list[Change]:
     """Return the changes of the actuator's delay, time lag and limits."""
-    found = []
+    changes = []
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)
-        found.append(_moved("actuator", "delay", joint.delay, new, row.stderr, "s"))
-        found.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
+        changes.append(_moved("actuator", "delay", joint.delay, new, row.stderr, "s"))
+        changes.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
     row = rows.get("electrode_rc tau") or rows.get("sensor_lag tau")
     if row is not None and (attribute := _lag_attribute(joint)):
         new = max(joint.lag + row.difference, 0.0)
-        found.append(_moved("actuator", attribute, joint.lag, new, row.stderr, "s"))
+        changes.append(_moved("actuator", attribute, joint.lag, new, row.stderr, "s"))
         if attribute == "dynprm":
-            found.append(Change("actuator", "dyntype", "", "filterexact", ""))
+            changes.append(Change("actuator", "dyntype", "", "filterexact", ""))
     for name, attribute, scale in (
         ("voltage_clip inverse", "ctrlrange", 1.0), ("force_limit inverse", "forcerange", torque / joint.gear),
     ):  # fmt: skip
         if (row := rows.get(name)) is not None and math.isfinite(row.robot):
             limit, old = number(scale * row.robot, 6), joint.actuator_tag.attributes.get(attribute, "")
             text = f"{attribute}: {old or 'none'} -> +- {limit}"
-            found.append(Change("actuator", attribute, old, f"-{limit} {limit}", text))
+            changes.append(Change("actuator", attribute, old, f"-{limit} {limit}", text))
             if not joint.autolimits:
-                found.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
-    return found
+                changes.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
+    return changes
 
 
 def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
@@ -199,8 +201,8 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
     unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
     new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
     old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)
-    found = [Change("joint", "range", old, new, f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}")]
-    return found if joint.autolimits else [*found, Change("joint", "limited", "", "true", "")]
+    changes = [Change("joint", "range", old, new, f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}")]
+    return changes if joint.autolimits else [*changes, Change("joint", "limited", "", "true", "")]
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:

@@ -79,8 +79,8 @@ def _tags(file: Path, folder: Path, path: tuple[str, ...], texts: dict[Path, byt
     for tag in _start_tags(file, text, path):
         if tag.name == "include" and (name := tag.attributes.get("file")):
             # relative to the main file; newer MuJoCo also looks beside the including one
-            found = next((p for p in (folder / name, file.parent / name) if p.is_file()), folder / name)
-            inner = _tags(found, folder, tag.path, texts)
+            inner_file = next((p for p in (folder / name, file.parent / name) if p.is_file()), folder / name)
+            inner = _tags(inner_file, folder, tag.path, texts)
             next(inner, None)  # its root, <mujocoinclude> or <mujoco>
             yield from inner
         else:
@@ -88,14 +88,14 @@ def _tags(file: Path, folder: Path, path: tuple[str, ...], texts: dict[Path, byt
 
 
 def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
-    found: list[Tag] = []
+    tags: list[Tag] = []
     names: list[str] = []
     parser = expat.ParserCreate()
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
         within = tuple(names) if not around else (*around, *names[1:])
-        found.append(Tag(file, name, attributes, within, start, _tag_end(text, start)))
+        tags.append(Tag(file, name, attributes, within, start, _tag_end(text, start)))
         names.append(name)
 
     parser.StartElementHandler = begin
@@ -104,15 +104,15 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
         parser.Parse(text, True)
     except expat.ExpatError as error:
         raise BadInput(f"{cleaned(file)}: is not XML: {error}; correct the file") from None
-    return found
+    return tags
 
 
 def _tag_end(text: bytes, start: int) -> int:
     """Return the position after the `>` that closes a start tag; a quoted value may contain `>` too."""
-    found = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
-    if found is None:  # such as an encoding with two bytes a letter
+    match = re.compile(rb"""(?:[^"'>]|"[^"]*"|'[^']*')*>""").match(text, start)
+    if match is None:  # such as an encoding with two bytes a letter
         raise BadInput("the MuJoCo file is not in UTF-8; save it as UTF-8")
-    return found.end()
+    return match.end()
 
 
 @dataclass(frozen=True)
@@ -168,10 +168,10 @@ def assets(document: Document) -> list[Path]:
     """
     compilers = [tag.attributes for tag in document.tags if tag.name == "compiler"]
     said = {key: value for attributes in compilers for key, value in attributes.items()}
-    found = []
+    files = []
     for tag in document.tags:
         if (name := tag.attributes.get("file")) and tag.name in _ASSETS:
             place = Path(said.get(_ASSETS[tag.name]) or said.get("assetdir", "")) / name
             if not place.is_absolute() and ".." not in place.parts and (document.main.parent / place).is_file():
-                found.append(place)
-    return list(dict.fromkeys(found))
+                files.append(place)
+    return list(dict.fromkeys(files))

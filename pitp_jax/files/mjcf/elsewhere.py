@@ -55,15 +55,15 @@ def _identifier(name: str) -> str:
 def _newton(joint: Joint) -> str:
     """Write the arguments of a joint's axis for Newton, as JSON."""
     stiffness, damping = _gains(joint)
-    told = {
+    axis = {
         "joint": joint.name, "target_ke": stiffness, "target_kd": damping, "armature": joint.armature,
         "friction": joint.frictionloss, "damping": joint.damping,
     }  # fmt: skip
     if joint.limits is not None:
-        told |= {"limit_lower": joint.limits[0], "limit_upper": joint.limits[1]}
+        axis |= {"limit_lower": joint.limits[0], "limit_upper": joint.limits[1]}
     if joint.effort is not None:
-        told |= {"effort_limit": joint.effort}
-    return json.dumps(told | {"delay_s": joint.delay, "note": "identified on recordings; not run in Newton"}, indent=2)
+        axis |= {"effort_limit": joint.effort}
+    return json.dumps(axis | {"delay_s": joint.delay, "note": "identified on recordings; not run in Newton"}, indent=2)
 
 
 def _urdf(joint: Joint) -> str:

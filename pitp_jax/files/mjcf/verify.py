@@ -70,9 +70,9 @@ class Verification:
 
         None without a file to compare with.
         """
-        judged = [p for p in self.played if p.held_out] or list(self.played)
+        runs = [p for p in self.played if p.held_out] or list(self.played)
         gains = []
-        for p in judged:
+        for p in runs:
             if p.before is None:
                 return None
             scale = p.record.span
@@ -82,7 +82,7 @@ class Verification:
                 for block in np.array_split(gain, _BLOCKS)
                 if np.isfinite(block).any()
             ]
-        if not all(np.isfinite(p.after).any() for p in judged):
+        if not all(np.isfinite(p.after).any() for p in runs):
             return False
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
 

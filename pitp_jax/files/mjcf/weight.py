@@ -39,5 +39,5 @@ def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> 
     text = f"weight on the arm, m g l: {w:+.4g}{between} N m; the motion shows only the product of mass and distance"
     position, kilograms = " ".join(number(float(x), 6) for x in place), number(mass, 6)
     element = f'<body pos="{position}"><inertial pos="0 0 0" mass="{kilograms}" diaginertia="1e-9 1e-9 1e-9"/></body>'
-    left = max(armature - mass * distance**2, 0.0)
-    return Change("body", "inertial", "", f"{kilograms} kg at {position}", text), element, left
+    remaining = max(armature - mass * distance**2, 0.0)
+    return Change("body", "inertial", "", f"{kilograms} kg at {position}", text), element, remaining

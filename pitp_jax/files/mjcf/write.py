@@ -54,8 +54,8 @@ class Written:
         """Write the changes and remarks as sentences for the terminal."""
         said = [f"{c.element} {self.joint if c.element != 'actuator' else self.actuator or 'on it'}: {c.text}"
                 for c in self.changes if c.text]  # fmt: skip
-        left = [f"no attribute for {n.words}, {n.value}; nearest substitute: {n.way}" for n in self.left]
-        return [*said, *left, *self.remarks]
+        not_written = [f"no attribute for {n.words}, {n.value}; nearest substitute: {n.way}" for n in self.left]
+        return [*said, *not_written, *self.remarks]
 
     def as_json(self) -> dict[str, Any]:
         """Return file, changes and remarks as a dict for JSON."""
@@ -67,7 +67,7 @@ class Written:
 
 
 def write_numbers(
-    told: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
+    table: Sequence[Parameter], records: Sequence[Record], simulator: np.ndarray, mjcf: str | Path, joint: str,
     out: str | Path, actuator: str | None = None,
 ) -> Written:  # fmt: skip
     """Write a table of parameters into a copy of a MuJoCo file.
@@ -75,14 +75,14 @@ def write_numbers(
     Text files beside it hold the same parameters for Isaac Lab, Newton and URDF.
 
     Args:
-        told: parameters of the simulator and the robot, in the command's unit.
+        table: parameters of the simulator and the robot, in the command's unit.
         records: of the robot.
         simulator: its coefficients a_i, shape (order + 1,).
         mjcf, joint, out, actuator: file, joint, folder or new file, and actuator, if several act on the joint.
     """
     document = read_document(mjcf)
     it = joint_of(document, joint, actuator)
-    changes, left, element = changes_of(it, told)
+    changes, not_written, element = changes_of(it, table)
     changes, unknown = _known_to_mujoco(it, changes)
     remarks = _remarks(records, simulator, it)
     edits = []
@@ -96,7 +96,7 @@ def write_numbers(
     after = joint_of(read_document(target), joint, actuator)
     for name, text in elsewhere.texts(after).items():
         write_text_atomic(target.parent / name, text)
-    return Written(target, joint, it.actuator, tuple(changes), (*left, *unknown), tuple(remarks))
+    return Written(target, joint, it.actuator, tuple(changes), (*not_written, *unknown), tuple(remarks))
 
 
 def _heading(records: Sequence[Record], document: Document) -> str:

@@ -101,15 +101,15 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
     Raises:
         BadInput: time repeats or contradicts the signals, or too few rows remain.
     """
-    found, packets = _grid(rows), False
-    if found is None and (found := _packets(rows)) is not None:
+    line, packets = _grid(rows), False
+    if line is None and (line := _packets(rows)) is not None:
         packets = True
-        if rate is not None and abs(found.dt * rate - 1.0) <= _STATED:
-            found = replace(found, dt=1 / rate)
-        elif rate is None and found.off.max() > _LATE * len(rows.time):
+        if rate is not None and abs(line.dt * rate - 1.0) <= _STATED:
+            line = replace(line, dt=1 / rate)
+        elif rate is None and line.off.max() > _LATE * len(rows.time):
             how = "repeats" if (np.diff(rows.time) == 0).any() else "comes in packets"
             raise BadInput(f"{source}: column {column!r}: the time {how}; give --rate HZ")
-    if found is None:
+    if line is None:
         try:
             single = _separate(rows, source, column, place)
         except BadInput:
@@ -118,13 +118,13 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
             return on_grid(rows.counted_at(rate), source, column, place)
         if single is not rows:
             return on_grid(single, source, column, place, rate)
-    elif rate is None or abs(found.dt * rate - 1.0) <= TIME_TOLERANCE:
-        return replace(_put(rows, found, source, column), packets=packets)
+    elif rate is None or abs(line.dt * rate - 1.0) <= TIME_TOLERANCE:
+        return replace(_put(rows, line, source, column), packets=packets)
     elif (np.diff(rows.time) == 0).any():
         return on_grid(rows.counted_at(rate), source, column, place)
     else:
-        rows = replace(rows, time=found.time)
-    return replace(_resampled(rows, rate, source, column), packets=packets, uneven=found is None)
+        rows = replace(rows, time=line.time)
+    return replace(_resampled(rows, rate, source, column), packets=packets, uneven=line is None)
 
 
 def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str]) -> Rows:
@@ -200,20 +200,20 @@ def _packets(rows: Rows) -> _Line | None:
     period, ends = float(np.median(long)), np.flatnonzero(steps >= mean)
     size = float(np.median(np.diff(ends))) if len(ends) > 1 else 1.0
     lost = size * np.where(steps > 1.5 * period, np.round(steps / period - 1), 0.0)
-    found = _fitted(np.arange(len(time)) + np.append(0, np.cumsum(lost)).astype(np.int64), time)
-    return found if found.off.max() <= period / found.dt + 1 else None
+    line = _fitted(np.arange(len(time)) + np.append(0, np.cumsum(lost)).astype(np.int64), time)
+    return line if line.off.max() <= period / line.dt + 1 else None
 
 
-def _put(rows: Rows, found: _Line, source: str, column: str) -> Gridded:
+def _put(rows: Rows, line: _Line, source: str, column: str) -> Gridded:
     """Put rows on a fitted grid, split where too many samples in a row were lost."""
-    time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, found.index
-    lost, jitter = np.diff(index) - 1, float(found.off.max())
+    time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, line.index
+    lost, jitter = np.diff(index) - 1, float(line.off.max())
     if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
         return Gridded((Piece(time, voltage, displacement),), jitter, rows)
     # the input in a longer gap cannot be interpolated
-    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, found.dt)) + 1
+    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, line.dt)) + 1
     parts, dropped = _parts(rows, cuts, source, column)
-    pieces = [_piece(time[p], voltage[p], displacement[p], index[p], found, jitter) for p in parts]
+    pieces = [_piece(time[p], voltage[p], displacement[p], index[p], line, jitter) for p in parts]
     return Gridded(tuple(pieces), jitter, rows, dropped)
 
 
@@ -259,9 +259,9 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
     return min(_GAP / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
 
 
-def _piece(time, voltage, displacement, index, found: _Line, jitter) -> Piece:
+def _piece(time, voltage, displacement, index, line: _Line, jitter) -> Piece:
     """Put one stretch on the grid a + b k; interpolate the input and mark lost outputs as missing."""
-    start, dt = found.start, found.dt
+    start, dt = line.start, line.dt
     where = index - index[0]
     grid = start + dt * (index[0] + np.arange(where[-1] + 1))
     output = np.full(len(grid), np.nan)

@@ -183,16 +183,16 @@ def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[in
     Noise would end a long run. A sensor without noise repeats values at a turning point: there, a run counts if it ends
     with a jump, or if the input sweeps half of its range meanwhile.
     """
-    found = _inside(runs, len(y))
+    mask = _inside(runs, len(y))
     if not runs:
-        return found
-    longest, swing = _longest_by_chance(y, found), np.ptp(drive)
+        return mask
+    longest, swing = _longest_by_chance(y, mask), np.ptp(drive)
     for begin, end in runs:
         sweeps = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _SWEPT * swing
         around = np.abs(np.diff(y[begin - 3 : begin])), np.abs(np.diff(y[end : end + 3]))
         jump = abs(y[min(end, len(y) - 1)] - y[begin]) > _FAR * max(step, *np.concatenate(around))
-        found[begin:end] = end - begin > longest or sweeps or jump
-    return found
+        mask[begin:end] = end - begin > longest or sweeps or jump
+    return mask
 
 
 def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:

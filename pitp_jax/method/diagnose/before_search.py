@@ -33,11 +33,11 @@ _FORM = "one line"
 
 
 @dataclass(frozen=True)
-class _Told:
-    """What the free runs alone have shown: the errors without the tone, if there is one."""
+class _Errors:
+    """The errors of the free runs, as given and after the tone is subtracted; equal without a tone."""
 
     given: Evidence
-    left: Evidence
+    rest: Evidence
     tone: Tone | None
 
 
@@ -52,23 +52,23 @@ def answered(model: Model, records: Sequence[Record], runs: OwnError, notes: tup
     """
     given = evidence(runs.residuals, 1e-6 * runs.spans)
     if runs.ratio(runs.residuals) <= rules.SETTLED:
-        return _diagnosis(model, records, runs, _Told(given, given, None), notes)
+        return _diagnosis(model, records, runs, _Errors(given, given, None), notes)
     errors = [np.nan_to_num(e) for e in runs.residuals]
     tone = fit_tone(errors, [r.voltage for r in records], [r.dt for r in records])
-    if tone is None or runs.ratio(left := tone.taken_from(runs.residuals)) > rules.OWN:
+    if tone is None or runs.ratio(rest := tone.taken_from(runs.residuals)) > rules.OWN:
         return None
-    return _diagnosis(model, records, runs, _Told(given, evidence(left, 1e-6 * runs.spans), tone), notes)
+    return _diagnosis(model, records, runs, _Errors(given, evidence(rest, 1e-6 * runs.spans), tone), notes)
 
 
-def _diagnosis(model: Model, records, runs: OwnError, told: _Told, notes: tuple[str, ...]) -> Diagnosis:
+def _diagnosis(model: Model, records, runs: OwnError, errors: _Errors, notes: tuple[str, ...]) -> Diagnosis:
     names = tuple(r.name for r in records)
-    before, after = (runs.percent(np.sqrt(e.mse)) for e in (told.given, told.left))
+    before, after = (runs.percent(np.sqrt(e.mse)) for e in (errors.given, errors.rest))
     low, spans = runs.percent(runs.own), runs.spans
     unit = base_unit(fitted_of(model).origin.displacement_unit)
-    found = _tone_found(told, unit, spans, before, after, low) if told.tone is not None else None
-    gap = Gap(before, after, before, low, runs.source, closed(before, after, low) if found else None,
-              interval(told.given, told.left, spans, low) if found else None, after)  # fmt: skip
-    part, row, share = found or (None, None, {})
+    rows = _tone_rows(errors, unit, spans, before, after, low) if errors.tone is not None else None
+    gap = Gap(before, after, before, low, runs.source, closed(before, after, low) if rows else None,
+              interval(errors.given, errors.rest, spans, low) if rows else None, after)  # fmt: skip
+    part, row, share = rows or (None, None, {})
     try:
         where = _where(model, records, runs)
     except Exception as error:  # it only describes the result
@@ -94,16 +94,16 @@ def _diagnosis(model: Model, records, runs: OwnError, told: _Told, notes: tuple[
     )
 
 
-def _tone_found(told: _Told, unit: str, spans: np.ndarray, before: float, after: float, low: float):
+def _tone_rows(errors: _Errors, unit: str, spans: np.ndarray, before: float, after: float, low: float):
     """Return the tone as a part, as a candidate, and as a fraction of the budget."""
-    tone, p = told.tone, probability(told.left, told.given)
+    tone, p = errors.tone, probability(errors.rest, errors.given)
     assert tone is not None
     numbers = {"frequency": (*tone.frequency, "Hz"), "amplitude": (*tone.amplitude, unit)}
     between = {k: {"value": v, "unit": u, "ci95": [v - 1.96 * e, v + 1.96 * e]} for k, (v, e, u) in numbers.items()}
     rows = {k: {"value": v, "unit": u, "stderr": e} for k, (v, e, u) in numbers.items()}
     share = float(1 - (after / before) ** 2)
     part = Part(TONE, _FORM, between, share, p, "certain")
-    ci95 = interval(told.given, told.left, spans, low)
+    ci95 = interval(errors.given, errors.rest, spans, low)
     row = Ranked(TONE, "sensor", _FORM, rows, after, after, closed(before, after, low), ci95, p)
     return part, row, {TONE: {"share": share, "ci95": [share, share], "probability": p, "equivalent": []}}
 

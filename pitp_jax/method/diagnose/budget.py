@@ -24,7 +24,7 @@ class Budget:
     Attributes:
         seconds: of wall time; infinite: no limit.
         reserve: s of these, reserved for the steps after the search.
-        lane_steps: samples x steps a sample x simulations so far.
+        simulated_steps: samples x steps a sample x simulations so far.
         run_steps: samples x steps a sample of one run of all records.
         stage: the current stage, in words.
         progress: called with a line when a stage begins, and every few seconds within it.
@@ -34,7 +34,7 @@ class Budget:
 
     seconds: float = np.inf
     reserve: float = 0.0
-    lane_steps: int = 0
+    simulated_steps: int = 0
     run_steps: int = 0
     stage: str = "fitting"
     progress: Callable[[str], None] = lambda line: None
@@ -43,20 +43,20 @@ class Budget:
     began: float = field(default_factory=time.monotonic)
     _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
 
-    def count(self, lane_steps: int) -> None:
+    def count(self, steps: int) -> None:
         """Add simulated steps to the count, and report progress every few seconds."""
-        self.lane_steps += lane_steps
-        elapsed, (last, steps) = self.elapsed, self._reported
+        self.simulated_steps += steps
+        elapsed, (last, earlier) = self.elapsed, self._reported
         if elapsed - last >= _EVERY_S:
-            rate = (self.lane_steps - steps) / (elapsed - last)
+            rate = (self.simulated_steps - earlier) / (elapsed - last)
             most = _RUNS * self.run_steps
-            left = max(min((most - self.lane_steps) / rate, self.remaining), 0.0)
-            self._reported = elapsed, self.lane_steps
-            hint = " (--seconds sets a limit)" if left > _LONG and np.isinf(self.seconds) else ""
+            remaining = max(min((most - self.simulated_steps) / rate, self.remaining), 0.0)
+            self._reported = elapsed, self.simulated_steps
+            hint = " (--seconds sets a limit)" if remaining > _LONG and np.isinf(self.seconds) else ""
             # while programs are compiled few steps are simulated, and their rate predicts nothing
-            known = self.lane_steps >= _KNOWN * most or np.isfinite(self.seconds)
+            known = self.simulated_steps >= _KNOWN * most or np.isfinite(self.seconds)
             self.progress(
-                f"{self.stage}: {elapsed:.0f} s elapsed{f', at most {left:.0f} s left' if known else ''}{hint}"
+                f"{self.stage}: {elapsed:.0f} s elapsed{f', at most {remaining:.0f} s left' if known else ''}{hint}"
             )
 
     def begin(self, stage: str) -> None:
@@ -70,9 +70,9 @@ class Budget:
         return time.monotonic() - self.began
 
     @contextmanager
-    def keeping(self, lane_steps: int) -> Iterator[None]:
+    def keeping(self, steps: int) -> Iterator[None]:
         """Reserve time for the work that follows a `with` block, of so many simulated steps."""
-        seconds = min(lane_steps * self.elapsed / max(self.lane_steps, 1), (self.seconds - self.reserve) / 4)
+        seconds = min(steps * self.elapsed / max(self.simulated_steps, 1), (self.seconds - self.reserve) / 4)
         before = self.reserve
         self.reserve += seconds if np.isfinite(self.seconds) else 0.0
         try:

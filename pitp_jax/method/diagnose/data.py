@@ -101,10 +101,10 @@ class Case:
         rows = [s.counts.astype(float) for s in self.series]
         if fold is not None:
             for k in self.folds[fold]:
-                rows[k][self._left_out(fold, k, len(rows[k]) // 100)] = 0.0
+                rows[k][self._fold_slice(fold, k, len(rows[k]) // 100)] = 0.0
         return rows
 
-    def _left_out(self, fold: int, record: int, margin: int = 0) -> slice:
+    def _fold_slice(self, fold: int, record: int, margin: int = 0) -> slice:
         """Return the slice of a record's samples that a fold leaves out."""
         size, block = len(self.series[record].output), fold % self.blocks
         first, last = block * size // self.blocks, (block + 1) * size // self.blocks
@@ -134,7 +134,7 @@ class Case:
         """Return, for every record, the mask of the samples on which a fold is scored."""
         rows = [np.zeros(len(s.output), bool) for s in self.series]
         for k in self.folds[fold]:
-            place = self._left_out(fold, k)
+            place = self._fold_slice(fold, k)
             rows[k][place] = self.series[k].counts[place]
         return rows
 

@@ -119,18 +119,18 @@ def diagnose(
     runs = own_error(model, records)
     if not refit_nominal and (early := answered(model, records, runs, notes)) is not None:
         return early
-    found, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit)
+    outcome, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit)
     notes = (*fault.remarks(records[0].dt), *notes)
-    search, before, interrupted = found.search, found.before, found.interrupted
-    case, own, source = search.case, found.own, found.source
+    search, before, interrupted = outcome.search, outcome.before, outcome.interrupted
+    case, own, source = search.case, outcome.own, outcome.source
     noise = beside_noise(case, 0.0, case.thinned)
     limit.begin("comparing the best set")
     decision, (handed, made, names_back) = _checked(
-        search, decide(search, found.floor, noise, found.distinct, found.usual), model, records, before
+        search, decide(search, outcome.floor, noise, outcome.distinct, outcome.usual), model, records, before
     )
     failed: list[str] = []
 
-    def told(what: str, make: Callable[[], T], otherwise: T) -> T:
+    def attempt(what: str, make: Callable[[], T], otherwise: T) -> T:
         """Call `make` for a part that only describes the result; if it fails, note it and return `otherwise`."""
         try:
             return make()
@@ -147,22 +147,24 @@ def diagnose(
     equivalent = decision.tied.get(effects[0], ()) if effects else ()
     experiment = None
     if decision.verdict != "no_gap":
-        experiment = told("the next experiment", lambda: _experiment(search, decision, limit), None)
+        experiment = attempt("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
     limit.begin("comparing each part")
     try:
-        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+        parts = attempt("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     except KeyboardInterrupt:  # rivals not searched are left out; a second interrupt ends the diagnosis
         if interrupted:
             raise
         interrupted = True
         limit.stop("rivals of some parts (interrupted)")
-        parts = told("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+        parts = attempt("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     experiment = experiment or next((p.experiment for p in parts if p.experiment is not None), None)
     term = None
     if FREE in decision.chosen.names:
-        term = told("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)
-    where = told("the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere())
+        term = attempt("the equation of the term", lambda: term_of(search, decision, handed, made, errors, gap), None)
+    where = attempt(
+        "the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere()
+    )
     notes = (
         *notes,
         *([_REFITTED] if automatic else []),
@@ -195,7 +197,7 @@ def diagnose(
         parts=parts,
         refit=refit,
         reason=decision.reason if decision.verdict == "unknown" else "",
-        lane_steps=limit.lane_steps,
+        lane_steps=limit.simulated_steps,
         clock_shift=fault.early,
         input_lag=fault.lag,
         interrupted=interrupted,
@@ -210,16 +212,16 @@ def _searched_without_fault(
     Returns:
         the search, the fault of the records, and the records without it.
     """
-    found = _searched(model, records, refit, exclude, limit)
-    fault, best = Fault(), found.search.best()
-    if SHIFT.name in best.names and not found.interrupted:
-        if needed(best, rival_without(found.search, best, {SHIFT.name})) >= rules.SURE:
-            found_fault = Fault(best.fit.value(EARLY) + best.fit.value(AHEAD), best.fit.value(MONITOR))
-            fault = found_fault if found_fault.is_acausal else fault
+    outcome = _searched(model, records, refit, exclude, limit)
+    fault, best = Fault(), outcome.search.best()
+    if SHIFT.name in best.names and not outcome.interrupted:
+        if needed(best, rival_without(outcome.search, best, {SHIFT.name})) >= rules.SURE:
+            candidate = Fault(best.fit.value(EARLY) + best.fit.value(AHEAD), best.fit.value(MONITOR))
+            fault = candidate if candidate.is_acausal else fault
             records = fault.corrected(records)
         exclude = (*exclude, SHIFT.name)
-        found = _searched(model, records, refit, exclude, limit)
-    return found, fault, records
+        outcome = _searched(model, records, refit, exclude, limit)
+    return outcome, fault, records
 
 
 def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):

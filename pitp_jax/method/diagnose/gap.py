@@ -83,7 +83,7 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
 def as_far_as_closed(verdict: str, gap: Gap) -> str:
     """Limit the verdict "explained" to "partly" if the closed fraction may be 0 or a large error remains."""
     nothing = gap.ci95 is not None and gap.ci95[0] <= 0
-    much = gap.noise_floor is not None and gap.after > rules.LEFT * gap.noise_floor
+    much = gap.noise_floor is not None and gap.after > rules.PARTLY * gap.noise_floor
     return "partly" if verdict == "explained" and (nothing or much) else verdict
 
 

@@ -251,10 +251,10 @@ def _is_determined(key: str, number: "_Number", parts: Iterable[Any]) -> bool:
             return part.certainty != "none"
         coefficient = {"stiffness": "a_0", "damping": "a_1", "inertia": "a_2"}.get(key, key.replace("a", "a_"))
         own = {key.removeprefix(f"{part.effect} ").split(",")[0], f"{coefficient} over given"}
-        told = [n for name, n in part.parameters.items() if name in own] or list(part.parameters.values())
+        entries = [n for name, n in part.parameters.items() if name in own] or list(part.parameters.values())
         if part.effect == "parameter_change" and not own & set(part.parameters):
             continue
-        if any(n["ci95"] is None for n in told):
+        if any(n["ci95"] is None for n in entries):
             return False
     return True
 
@@ -264,13 +264,13 @@ def _speeds(records: Sequence[Record], frequency: float) -> tuple[float, float]:
 
     Speeds are differences over a twentieth of a period, so that they are not the sensor's noise.
     """
-    found = [np.zeros(0)]
+    speeds = [np.zeros(0)]
     for r in records:
         step = max(round(0.05 * 2 * np.pi / frequency / r.dt), 1)
         v = np.abs(r.displacement[step:] - r.displacement[:-step]) / (step * r.dt)
         v = v[np.isfinite(v)]
-        found.append(v[v > 0.05 * v.max(initial=0.0)])
-    every = np.concatenate(found)
+        speeds.append(v[v > 0.05 * v.max(initial=0.0)])
+    every = np.concatenate(speeds)
     return (float(np.quantile(every, 0.1)), float(np.quantile(every, 0.9))) if len(every) else (0.0, np.inf)
 
 
@@ -354,8 +354,8 @@ def _linear(model: Model | Fitted, order: int) -> tuple[np.ndarray, list[Effect]
 def _coefficients(a: np.ndarray, of: Units, moved: Mapping) -> dict[str, _Number]:
     """Return gain, stiffness, damping and inertia from coefficients; `moved` holds fitted factors with errors."""
     causes = frozenset(["parameter_change"])
-    told = [moved.get(f"a_{i} over given") for i in range(len(a))]
-    relative = [None if t is None or t["stderr"] is None else t["stderr"] / t["value"] for t in told]
+    factors = [moved.get(f"a_{i} over given") for i in range(len(a))]
+    relative = [None if t is None or t["stderr"] is None else t["stderr"] / t["value"] for t in factors]
     table = {}
     if of.position:
         table["gain"] = _Number(1 / a[0], "", causes, None if relative[0] is None else relative[0] / a[0])
@@ -372,35 +372,35 @@ def _numbers(
 ) -> Iterator[tuple[str, _Number]]:
     """Yield the parameters to which one effect of a model contributes, with names and values."""
     base = base_units(units_of(model))  # a simulator's units
-    told = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
-    errors = {name: (fitted.get(name) or {}).get("stderr") for name in told}
+    values = {p.name: physical(model, p, float(v), base) for p, v in effect.numbers()}
+    errors = {name: (fitted.get(name) or {}).get("stderr") for name in values}
     a, causes = of.factor * model.physical_coefficients, frozenset([effect.name])
 
     def share(value: float, i: int, *names: str) -> _Number:  # of a product of these parameters
-        known = [e / told[n][0] for n in names if (e := errors.get(n)) is not None and told[n][0]]
+        known = [e / values[n][0] for n in names if (e := errors.get(n)) is not None and values[n][0]]
         error = abs(value) * float(np.sqrt(sum(k * k for k in known))) if len(known) == len(names) else None
         return _Number(value, of.of[i], causes, error)
 
     if effect.name == "added_mass" and len(a) > 2:
-        yield "inertia", share(told["d"][0] * a[2], 2, "d")
+        yield "inertia", share(values["d"][0] * a[2], 2, "d")
     elif (effect.name, effect.form) == ("softening", "gravity") and of.output == "rad":
-        weight = a[0] * told["curvature"][0] ** 2
+        weight = a[0] * values["curvature"][0] ** 2
         yield "softening weight", share(weight, 0, "curvature", "curvature")
         yield "stiffness", share(-weight, 0, "curvature", "curvature")
     elif (effect.name, effect.form) == ("softening", "weight on an arm"):
-        yield "softening weight", share(a[0] * told["kappa"][0] / told["curvature"][0], 0, "kappa")
+        yield "softening weight", share(a[0] * values["kappa"][0] / values["curvature"][0], 0, "kappa")
     elif (effect.name, effect.form) == ("coulomb_friction", "Stribeck") and (
-        (level := _one_level(told, speeds)) is not None
+        (level := _one_level(values, speeds)) is not None
     ):
         yield "coulomb_friction level", _Number(of.factor * level, of.force, causes, None, True)
-    elif effect.name == "second_mode" and "kappa" in told and len(a) > 2:
-        spring, omega, zeta = a[0] * told["kappa"][0], told["omega"][0], told["zeta"][0]
+    elif effect.name == "second_mode" and "kappa" in values and len(a) > 2:
+        spring, omega, zeta = a[0] * values["kappa"][0], values["omega"][0], values["zeta"][0]
         yield "second_mode inertia", share(spring / omega**2, 2, "kappa", "omega", "omega")
         yield "second_mode spring", share(spring, 0, "kappa")
         yield "second_mode damper", share(2 * zeta * spring / omega, 1, "kappa", "zeta", "omega")
     else:
         for p, _ in effect.numbers():
-            value, unit = told[p.name]
+            value, unit = values[p.name]
             error = errors[p.name]
             if p.name == "inverse":  # stored so that 0 means no limit; reported as the limit
                 error = None if error is None or not value else error / value**2
@@ -416,13 +416,13 @@ def _numbers(
             yield f"{effect.name} {key}", _Number(value, unit, causes, error)
 
 
-def _one_level(told: Mapping[str, tuple[float, str]], speeds: tuple[float, float]) -> float | None:
+def _one_level(values: Mapping[str, tuple[float, str]], speeds: tuple[float, float]) -> float | None:
     """Return the friction at the recorded speeds if it is one level there; None if the recordings show its change."""
-    level, rise, speed = (told[name][0] for name in ("level", "rise", "speed"))
+    level, rise, speed = (values[name][0] for name in ("level", "rise", "speed"))
     ends = [level * (1 + rise * np.exp(-((v / speed) ** 2))) for v in speeds]
     return float(np.mean(ends)) if np.ptp(ends) < _LEVEL * np.mean(ends) else None
 
 
-def as_rows(told: Sequence[Parameter]) -> list[dict[str, Any]]:
+def as_rows(parameters: Sequence[Parameter]) -> list[dict[str, Any]]:
     """Return the parameters as a list of dicts for JSON."""
-    return [vars(p) for p in told]
+    return [vars(p) for p in parameters]

@@ -119,15 +119,15 @@ def bounds(s: Scale) -> dict[str, tuple[float, float]]:
     If a force changes over a speed or a distance beyond all recorded ones, this parameter only scales the force.
     """
     # a lagging input may be late by a sample of its own; more would be a delay, which a machine can have
-    span, found = s.top - s.bottom, {AHEAD: (-s.dt, np.inf)}
+    span, limits = s.top - s.bottom, {AHEAD: (-s.dt, np.inf)}
     for name, p in zip(NAMES[3:], _NUMBERS, strict=True):
         if p.slow:  # a memory of the input faster than the plant is a filter of it, not a charge
-            found[name] = s.tau, np.inf
+            limits[name] = s.tau, np.inf
         elif p.resonance:  # outside the band it is equivalent to a lag or a stiffness
-            found[name] = _SIDES * s.low, s.high / _SIDES
+            limits[name] = _SIDES * s.low, s.high / _SIDES
         elif p.off is None and (p.speed == 1 or p.length == 1):
-            found[name] = 0.0, s.fastest if p.speed else span
-    return found
+            limits[name] = 0.0, s.fastest if p.speed else span
+    return limits
 
 
 def group(name: str) -> str:
@@ -291,14 +291,14 @@ def effects_of(slots: np.ndarray, scale: Scale, only: str = "") -> list[tuple[Ef
 
     `only`: those of this effect.
     """
-    found = []
+    effects = []
     for spec in ROWS:
         if is_on(spec, slots) and only in ("", group(spec.name)):
             name, form, numbers = _reported(spec, slots, scale)
             # the row stays if only the name changes
             row = _BY_KEY.get(f"{name}: {form}", spec)
-            found.append((row(*numbers), slots_of_row(spec)))
-    return found
+            effects.append((row(*numbers), slots_of_row(spec)))
+    return effects
 
 
 def _reported(spec: EffectSpec, slots: np.ndarray, scale: Scale) -> tuple[str, str, tuple]:

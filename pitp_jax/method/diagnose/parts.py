@@ -82,8 +82,8 @@ class Parts(Shown):
 
     def as_json(self) -> list[dict]:
         """Return the parts as the list of docs/contract.md."""
-        told = [vars(p) | {"tied": list(p.tied)} for p in self.parts]
-        return [{k: v for k, v in one.items() if k != "experiment"} for one in told]
+        rows = [vars(p) | {"tied": list(p.tied)} for p in self.parts]
+        return [{k: v for k, v in one.items() if k != "experiment"} for one in rows]
 
     def _rows(self) -> list[dict[str, Any]]:
         rows = []
@@ -112,15 +112,15 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
         return Parts()
     numbers = _Numbers(search, handed, made[0])
     effects = [(_search_name(slots), effect, slots) for effect, slots in made[1]]
-    taken, found = closing_fractions(search, handed), []
+    taken, drafts = closing_fractions(search, handed), []
     for name, label in zip(handed.names, handed.labels, strict=True):
         mine = [(e, slots) for n, e, slots in effects if n == name]
         form = " and ".join(dict.fromkeys(e.form for e, _ in mine)) or "refitted coefficients"
-        told = numbers.of(mine) if mine else numbers.coefficients(_own_slots(search, name))
-        found.append(Part(label, form, told, taken[name], decision.probabilities.get(label), "none"))
+        values = numbers.of(mine) if mine else numbers.coefficients(_own_slots(search, name))
+        drafts.append(Part(label, form, values, taken[name], decision.probabilities.get(label), "none"))
     changed = [numbers.is_changed(_strengths(search, n)) for n in handed.names]
-    judged = [_judged(search, decision, handed, *one) for one in zip(handed.names, found, changed, strict=True)]
-    judged.sort(key=lambda p: -p.fraction)
+    parts = [_rate_part(search, decision, handed, *one) for one in zip(handed.names, drafts, changed, strict=True)]
+    parts.sort(key=lambda p: -p.fraction)
     # coefficients refitted with every effect close nothing of the refitted model's error
     beside = [(e, slots) for n, e, slots in effects if n not in handed.names]
     along = [Part(e.name, e.form, numbers.of([(e, slots)]), 0.0, None, "none") for e, slots in beside]
@@ -128,7 +128,7 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
     moved = numbers.coefficients([k for k in search.movable if k not in claimed])
     if moved:
         along = [Part(CHANGED, "refitted coefficients", moved, 0.0, None, "none"), *along]
-    return Parts((*judged, *along))
+    return Parts((*parts, *along))
 
 
 def _own_slots(search: Search, name: str) -> list[str]:
@@ -151,7 +151,7 @@ def _search_name(slots: Sequence[str]) -> str:
     return next((group(r.name) for r in ROWS if slots_of_row(r) == tuple(slots)), "")
 
 
-def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part, changed: bool) -> Part:
+def _rate_part(search: Search, decision: Decision, handed: Hypothesis, name: str, part: Part, changed: bool) -> Part:
     """Return the part with its certainty; for a likely part also the recording that would make it certain."""
     if part.effect in decision.said:
         tied = decision.tied.get(part.effect, ())
@@ -167,13 +167,13 @@ def _judged(search: Search, decision: Decision, handed: Hypothesis, name: str, p
     if (part.probability or 0.0) < rules.LIKELY:
         return part
     other = " and ".join(rival.labels) or "the model without it"
-    found: Experiment | None = None
+    experiment: Experiment | None = None
     if search.budget.allows(f"the recording that separates {part.effect} from {other}"):
-        found = separate(search.case, search.scale, handed, rival, (part.effect, other))
-    if found is None or found.difference < 1:
+        experiment = separate(search.case, search.scale, handed, rival, (part.effect, other))
+    if experiment is None or experiment.difference < 1:
         return replace(part, certainty="likely", recording=f"{_ANOTHER} (to separate it from {other})")
-    words = f"{found.excitation}, {found.time[-1] - found.time[0]:.2g} s (to separate it from {other})"
-    return replace(part, certainty="likely", recording=words, experiment=found)
+    words = f"{experiment.excitation}, {experiment.time[-1] - experiment.time[0]:.2g} s (to separate it from {other})"
+    return replace(part, certainty="likely", recording=words, experiment=experiment)
 
 
 class _Numbers:
@@ -185,7 +185,7 @@ class _Numbers:
 
     def of(self, effects: Sequence[tuple[Effect, Sequence[str]]]) -> dict[str, dict]:
         """Return the parameters of one part's effects; those of a second effect have the suffix 2."""
-        told: dict[str, dict] = {}
+        table: dict[str, dict] = {}
         for effect, slots in effects:
             rows = in_units(self.model, effect, slots, self.h.fit, {})
             for (p, _), slot in zip(effect.numbers(), slots, strict=True):
@@ -194,8 +194,8 @@ class _Numbers:
                     limit = longest_time(self.search, effect.port)
                     if row["unit"] == "s" and row["value"] > limit:
                         row["ci95"] = [min([limit, *(row["ci95"] or [])[:1]]), None]
-                    told[f"{p.name} 2" if p.name in told else p.name] = row
-        return told
+                    table[f"{p.name} 2" if p.name in table else p.name] = row
+        return table
 
     def is_changed(self, slots: Sequence[str]) -> bool:
         """Return whether the interval of any of these parameters excludes the nominal model's value."""
@@ -229,20 +229,20 @@ def _interval_factors(search: Search, h: Hypothesis) -> Factors:
     folds = _coordinates(h.without, places) if len(h.without) else np.zeros((1, len(places)))
     jackknife = np.sqrt((len(folds) - 1) * np.var(folds, 0))
     alike = [other for other in search.every.values() if other is not h and _is_as_good(other, h)]
-    found: Factors = {}
+    factors: Factors = {}
     for n, (slot, place) in enumerate(zip(h.fit.free, places, strict=True)):
         here = float(_coordinates(h.fit.slots, [place])[0])
         error = max(errors[slot], jackknife[n])
         if not np.isfinite(error) or (LOGARITHM[place] and error > _FARTHEST):
-            found[slot] = None
+            factors[slot] = None
             continue
         others = [float(_coordinates(o.fit.slots, [place])[0]) for o in alike if slot in o.fit.free]
         low, high = min(here - _NORMAL * error, *others, here), max(here + _NORMAL * error, *others, here)
         if LOGARITHM[place]:
-            found[slot] = float(np.exp(low - here)), float(np.exp(high - here))
+            factors[slot] = float(np.exp(low - here)), float(np.exp(high - here))
         else:
-            found[slot] = (low / here, high / here) if here else None
-    return found
+            factors[slot] = (low / here, high / here) if here else None
+    return factors
 
 
 def _coordinates(slots: np.ndarray, places: Sequence[int]) -> np.ndarray:

@@ -151,9 +151,9 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
     rows = []
     ranges, base = spans(search), search.base.evidence
     before = percent(base, ranges)
-    judged = search.level(1)
+    hypotheses = search.level(1)
     others = sorted((f for f in search.waiting.values() if len(f.names) == 1), key=lambda f: f.cost)
-    for fit, label in [(h.fit, h.labels[0]) for h in judged] + [(f, search.labels(f)[0]) for f in others]:
+    for fit, label in [(h.fit, h.labels[0]) for h in hypotheses] + [(f, search.labels(f)[0]) for f in others]:
         mine = next(iter(effects_of(fit.slots, search.scale, only=fit.names[0])), None)
         # each needs its own slopes: for the first three, which a reader compares
         errors = errors_of(search, fit) if len(rows) < 3 else {}
@@ -161,8 +161,8 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         moved = label == CHANGED
         form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
         row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
-        if len(rows) < len(judged):
-            h = judged[len(rows)]
+        if len(rows) < len(hypotheses):
+            h = hypotheses[len(rows)]
             after, sure = percent(h.evidence, ranges), probability(h.evidence, base)
             ci95 = interval(base, h.evidence, ranges, low)
             row = replace(row, heldout=after, closed_fraction=closed(before, after, low), ci95=ci95, probability=sure)

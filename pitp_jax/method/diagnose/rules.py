@@ -17,6 +17,6 @@ OWN = 1.2  # times the nominal's own error: no gap up to there; at 1.5 an electr
 SETTLED = 1.05  # times it: no gap without a search; up to OWN the first step of the search is looked at
 WEAK = 0.95  # of the error: what a first effect must reach for a search between SETTLED and OWN
 USUAL = 1.5  # times it: also no gap where nothing improves the fit; healthy sets of coloured noise have 0.9 to 1.3
-LEFT = 4.0  # times the nominal's own error: above, the verdict is at best partly; planted effects 1.0 to 1.8, a trap 13
+PARTLY = 4.0  # times the nominal's own error: above, a verdict is at best partly; planted effects 1.0 to 1.8, a trap 13
 GAIN = 0.02  # a smaller closed fraction of an error counts as none
 TIED = 3  # effects at most that are reported as tied

@@ -45,7 +45,7 @@ _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps ga
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
 _STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6
 _LINEAR_STEPS = 25
-_JUDGED_RUNS = 40  # runs of all records for one refit without a fold
+_REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
 
@@ -236,7 +236,7 @@ class Search:
             if first and not self.budget.allows(names):
                 continue
             # a hypothesis counts only after its out-of-fold score, so the fits reserve time for that
-            with self.budget.keeping(_RANKED * len(self.case.folds) * _JUDGED_RUNS * self.budget.run_steps):
+            with self.budget.keeping(_RANKED * len(self.case.folds) * _REFIT_RUNS * self.budget.run_steps):
                 self._climb(some)
             self.judge(depth, without)
 
@@ -274,9 +274,9 @@ class Search:
 
     def _leaves_less(self, fit: Fit, other: Fit) -> bool:
         """Return whether a fit has GAIN less error than another; errors below the nominal model's own count as that."""
-        return bool(np.isfinite(fit.cost) and self._left(fit) < self._left(other) - 2 * rules.GAIN)
+        return bool(np.isfinite(fit.cost) and self._log_error(fit) < self._log_error(other) - 2 * rules.GAIN)
 
-    def _left(self, fit: Fit) -> float:
+    def _log_error(self, fit: Fit) -> float:
         """Return the logarithm of a fit's mean square error, limited below by the nominal model's own error."""
         total = 0.0
         for r, floor in zip(fit.residuals, self.floors, strict=True):
@@ -303,7 +303,7 @@ class Search:
             self._settle(fits[:count])
             fits = fits[count:]
 
-    def judged(self, names: Set[str]) -> Hypothesis | None:
+    def hypothesis_of(self, names: Set[str]) -> Hypothesis | None:
         """Return the hypothesis of these effects, cross-validated if necessary; None if it was not tried."""
         key = frozenset(names)
         if key in self.waiting:
@@ -426,18 +426,18 @@ class Search:
         best = self.best()
         if PARAMETERS not in best.names:
             return
-        kept, left = best, [k for k in self.movable if k in best.fit.free]
-        while len(left) > 1:
-            fits = [self._put_back(kept.fit, k) for k in left]
+        kept, candidates = best, [k for k in self.movable if k in best.fit.free]
+        while len(candidates) > 1:
+            fits = [self._put_back(kept.fit, k) for k in candidates]
             tried = self._scored([f for f in self.fitter.fit(fits, _STEPS) if np.isfinite(f.cost)])
             good = [h for h in tried if probability(kept.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
             if not good:
                 break
             kept = min(good, key=lambda h: h.evidence.bare.rms)
-            left = [k for k in left if k in kept.fit.free]
+            candidates = [k for k in candidates if k in kept.fit.free]
         self.every[frozenset(best.names)] = kept
         # a single one that is an effect of its own, such as the mass
-        for name in {f.name for f in self.library if f.name in LONE and [*f.start] == left} - {*kept.names}:
+        for name in {f.name for f in self.library if f.name in LONE and [*f.start] == candidates} - {*kept.names}:
             names = tuple(name if n == PARAMETERS else n for n in kept.names)
             fit = replace(kept.fit, names=names)
             self.every[frozenset(names)] = replace(kept, fit=fit, labels=self.labels(fit))

@@ -74,12 +74,12 @@ def without_effects(effects: dict[str, dict]) -> dict:
     """Return the `budget` of errors that only these entries explain; the rest cannot be predicted."""
     nothing = {"share": 0.0, "ci95": [0.0, 0.0]}
     rest = 1.0 - sum(row["share"] for row in effects.values())
-    left = {"share": rest, "ci95": [rest, rest]}
-    return dict.fromkeys(("nuisance", "parameters", "unnamed"), nothing) | {"effects": effects, "unexplainable": left}
+    entry = {"share": rest, "ci95": [rest, rest]}
+    return dict.fromkeys(("nuisance", "parameters", "unnamed"), nothing) | {"effects": effects, "unexplainable": entry}
 
 
 def _both_orders(search, chosen, named, spans, whole) -> dict[str, np.ndarray]:
-    alone = [search.judged({n}) for n in chosen.names]
+    alone = [search.hypothesis_of({n}) for n in chosen.names]
     if any(h is None for h in alone):
         return named
     e = energies([search.base.evidence, *[h.evidence for h in alone if h is not None], chosen.evidence], spans) / whole

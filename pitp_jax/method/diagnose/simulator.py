@@ -145,8 +145,8 @@ class Simulator:
         begin, step = (_Step(structure, len(numbers), drives[0].dt / self.substeps, first) for first in (True, False))
         parameters = self._parameters(slots, order)
         state = free_runs(begin, parameters, begins, inputs[:, :1], column)[:, 0]
-        found = free_runs(step, parameters, state, stages, column)[:, :: self.substeps, 0]
-        return np.where(np.abs(found) < FAR, found, np.nan)
+        outputs = free_runs(step, parameters, state, stages, column)[:, :: self.substeps, 0]
+        return np.where(np.abs(outputs) < FAR, outputs, np.nan)
 
     @cached_property
     def _plain(self) -> dict[int, tuple[Structure, np.ndarray]]:

@@ -219,7 +219,7 @@ def closing_fractions(search: Search, chosen: Hypothesis) -> dict[str, float]:
 
 def _beats_twin(search: Search, chosen: Hypothesis, name: str, twin: str) -> bool:
     """Return whether the set fits significantly better than with an equivalent effect instead of this one."""
-    other = search.judged({*chosen.names} - {name} | {twin})
+    other = search.hypothesis_of({*chosen.names} - {name} | {twin})
     return other is not None and probability(chosen.evidence, other.evidence, rules.FURTHER) >= rules.SURE
 
 
@@ -250,8 +250,8 @@ def separable(search: Search, decision: Decision, label: str) -> tuple[str, ...]
 def _other_names(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:
     """Return the other names of an effect: of a second memory, or in refits without a fold, if sizes decide."""
     rows = (chosen.fit.slots, *chosen.without)
-    found = dict.fromkeys(other for slots in rows for other in names_of(name, slots, search.scale, rules.LISTED))
-    return tuple(other for other in found if other != label)
+    others = dict.fromkeys(other for slots in rows for other in names_of(name, slots, search.scale, rules.LISTED))
+    return tuple(other for other in others if other != label)
 
 
 def _tie(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...] | None:

@@ -64,8 +64,8 @@ def _rest(d) -> list[str]:
 
 def further(d) -> float:
     """Return the fraction of the remaining error that a further part would remove; 0 if it is small."""
-    left = 1 - d.gap.explainable / d.gap.after if d.handed_back and d.gap.after > 0 else 0.0
-    return left if left > 1 - rules.FIRST else 0.0
+    fraction = 1 - d.gap.explainable / d.gap.after if d.handed_back and d.gap.after > 0 else 0.0
+    return fraction if fraction > 1 - rules.FIRST else 0.0
 
 
 def result_line(d) -> str:
@@ -134,10 +134,10 @@ def next_step(d) -> str:
         return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
     if d.where.get("tone"):
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
-    if left := further(d):
+    if fraction := further(d):
         return (
             "Next: diagnose again with --nominal model_augmented, because a further part would remove "
-            f"{percent(left)} of the remaining error."
+            f"{percent(fraction)} of the remaining error."
         )
     if d.effects:
         return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."

@@ -29,7 +29,7 @@ _WIDTHS = 12  # doublings of the rounding, from one sample on
 
 
 @dataclass(frozen=True)
-class Found:
+class Steps:
     """The results of all steps of a feedforward, from the target to the checked voltage.
 
     Attributes:
@@ -54,14 +54,14 @@ class Found:
     unseen: Beyond
 
 
-def advice(found: Found) -> tuple[str, ...]:
+def advice(steps: Steps) -> tuple[str, ...]:
     """Return all warnings about a target and its planned voltage, in the order of the steps."""
-    motion, limits, units = found.motion, found.limits, found.limits.units
-    own, checked = motion.target, found.checked
+    motion, limits, units = steps.motion, steps.limits, steps.limits.units
+    own, checked = motion.target, steps.checked
     lines = ()
-    if found.sampled is not found.given:
+    if steps.sampled is not steps.given:
         lines += (
-            f"the target is sampled every {found.given.dt:.4g} s, coarser than the model's {found.fitted.model.dt:.4g} "
+            f"the target is sampled every {steps.given.dt:.4g} s, coarser than the model's {steps.fitted.model.dt:.4g} "
             "s, and was interpolated by a cubic spline",
         )
     lines += on_target(motion, units)
@@ -70,14 +70,14 @@ def advice(found: Found) -> tuple[str, ...]:
             f"the stiffness drifts, so this voltage is for {motion.age:.4g} s after the start of the session (the "
             "target's clock)",
         )
-    if found.outside > _WORTH_A_LINE:
+    if steps.outside > _WORTH_A_LINE:
         lines += (
-            f"{100 * found.outside:.0f} % of the target lies outside the trained region: "
-            f"{outside_words(motion.model, found.cut.features[own], found.sampled.time)}; expect larger errors there",
+            f"{100 * steps.outside:.0f} % of the target lies outside the trained region: "
+            f"{outside_words(motion.model, steps.cut.features[own], steps.sampled.time)}; expect larger errors there",
         )
-    lines += tuple(filter(None, [untrained_words(found.fitted, "output", found.unseen)]))
-    lines += on_start(float(found.best.voltage[own.start]), own.start * motion.dt, limits)
-    lines += on_reach(found.cut.infeasible[own].mean(), found.cut.voltage[own], found.cut.saturated[own], limits)
+    lines += tuple(filter(None, [untrained_words(steps.fitted, "output", steps.unseen)]))
+    lines += on_start(float(steps.best.voltage[own.start]), own.start * motion.dt, limits)
+    lines += on_reach(steps.cut.infeasible[own].mean(), steps.cut.voltage[own], steps.cut.saturated[own], limits)
     lines += on_stroke(motion.wanted, checked.stroke, limits)
     if np.isnan(checked.percent):
         lines += (

@@ -21,7 +21,7 @@ from ..model.units import units_of
 from ..signal.record import Record
 from ..signal.target import Target
 from ..simulate.prediction import outside_fraction
-from .advice import Found, advice
+from .advice import Steps, advice
 from .lead_in import led_in
 from .limits import Limits, limits_of
 from .motion import Motion, wanted_motion
@@ -121,29 +121,29 @@ def feedforward(
     checked = check(motion, cut, best)
     outside = outside_fraction(motion.model, cut.features[motion.target])
     unseen = untrained(fitted, "output", motion.wanted, motion.dt)
-    found = Found(fitted, target, sampled, motion, limits, cut, best, checked, outside, unseen)
-    return _plan(found, (*warnings, *advice(found)))
+    steps = Steps(fitted, target, sampled, motion, limits, cut, best, checked, outside, unseen)
+    return _plan(steps, (*warnings, *advice(steps)))
 
 
-def _plan(found: Found, warnings: tuple[str, ...]) -> Feedforward:
+def _plan(steps: Steps, warnings: tuple[str, ...]) -> Feedforward:
     """Build the feedforward on the target's clock, with the error of the model's own simulation."""
-    motion, count = found.motion, len(found.best.voltage)
+    motion, count = steps.motion, len(steps.best.voltage)
     first, last = motion.target.start, motion.target.stop
     inside = np.zeros(count, bool)
     inside[motion.target] = True
     ramp = np.zeros(count - last, bool)
     return Feedforward(
-        time=found.sampled.time[0] + (np.arange(count) - first) * motion.dt,
-        voltage=found.best.voltage,
-        infeasible=np.append(found.cut.infeasible, ramp),
-        saturated=np.append(found.cut.saturated, ramp),
+        time=steps.sampled.time[0] + (np.arange(count) - first) * motion.dt,
+        voltage=steps.best.voltage,
+        infeasible=np.append(steps.cut.infeasible, ramp),
+        saturated=np.append(steps.cut.saturated, ramp),
         target=inside,
-        wanted=np.concatenate([np.full(first, np.nan), found.sampled.displacement, np.full(len(ramp), np.nan)]),
-        outside_training_share=max(found.outside, found.unseen.fraction),
-        self_check_e_rms_percent=found.checked.percent,
-        equation_e_rms_percent=found.checked.equation_percent,
+        wanted=np.concatenate([np.full(first, np.nan), steps.sampled.displacement, np.full(len(ramp), np.nan)]),
+        outside_training_share=max(steps.outside, steps.unseen.fraction),
+        self_check_e_rms_percent=steps.checked.percent,
+        equation_e_rms_percent=steps.checked.equation_percent,
         warnings=warnings,
-        limits=found.limits.text,
+        limits=steps.limits.text,
     )
 
 

@@ -24,7 +24,7 @@ def film_held(drive: AbstractDrive, film: Array, now: Array, dt: float, stages: 
     if not isinstance(drive, ElectrodeLag):
         return jnp.full(len(stages), now), now
     tau, first = jnp.exp(drive.log_tau), float(stages[2]) * dt
-    left = (film - now) * jnp.exp(-stages * dt / tau)
+    decay = (film - now) * jnp.exp(-stages * dt / tau)
     # the first stage makes Simpson's rule exact for the mean, because a short lag ends between two stages
     mean = -(film - now) * jnp.expm1(-first / tau) * tau / first
-    return now + left.at[0].set(6 * mean - 4 * left[1] - left[2]), now + left[-1]
+    return now + decay.at[0].set(6 * mean - 4 * decay[1] - decay[2]), now + decay[-1]

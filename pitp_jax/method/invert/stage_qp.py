@@ -76,6 +76,6 @@ def _diagonal(blocks: Float[np.ndarray, "stages rows columns"], more: int = 0) -
     stages, rows, columns = blocks.shape
     at, row, column = np.indices(blocks.shape)
     places = (at * rows + row).ravel(), (at * columns + column).ravel()
-    found = sparse.csc_matrix((blocks.ravel(), places), (stages * rows, stages * columns + more))
-    found.eliminate_zeros()
-    return found
+    matrix = sparse.csc_matrix((blocks.ravel(), places), (stages * rows, stages * columns + more))
+    matrix.eliminate_zeros()
+    return matrix

@@ -112,13 +112,13 @@ def only_frequency(record: Record) -> float | None:
     """Return the frequency (Hz) of an input that is one sine about a mean, to 1 % of its energy; None otherwise."""
     u, time = record.voltage - record.voltage.mean(), np.arange(record.samples) * record.dt
 
-    def left(hz: float) -> float:
+    def misfit(hz: float) -> float:
         wave = np.exp(2j * np.pi * hz * time)
         return float(np.sum(project(u, np.column_stack([np.real(wave), np.imag(wave), np.ones(len(u))]))[1] ** 2))
 
     # a sine is off by at most an eightieth of a line, whose phase changes by 0.04 rad from the middle to the ends
     tried = loudest(record) + np.linspace(-1, 1, _TRIED) / (record.samples * record.dt)
-    errors = [left(hz) for hz in tried if hz > 0]
+    errors = [misfit(hz) for hz in tried if hz > 0]
     return float(tried[tried > 0][np.argmin(errors)]) if min(errors) < _ELSEWHERE * float(u @ u) else None
 
 

@@ -169,7 +169,7 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
     return sorted(groups, key=lambda g: -len(g[0]))
 
 
-def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, float]:
+def rest_level(record: Record, residual: np.ndarray | None = None) -> tuple[float, float]:
     """Estimate the sensor reading at rest from the start of a record; return it and its standard error.
 
     Least squares of c_0 + c_2 t^2 + c_3 t^3 + c_4 t^4 over the longest window: 12 samples, doubled while the residual
@@ -177,8 +177,8 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
 
     Args:
         record: in base units.
-        left: residual of a model, shape (T,), 0 where missing. Few samples do not show slow noise in their level, so
-            the error is at least the rms level of such windows over `left`.
+        residual: of a model, shape (T,), 0 where missing. Few samples do not show slow noise in their level, so
+            the error is at least the rms level of such windows over `residual`.
     """
     noise, best = noise_std(record.displacement), (float(record.displacement[record.observed][0]), np.inf)
     rounding = _rounding(record.displacement)
@@ -200,6 +200,6 @@ def rest_level(record: Record, left: np.ndarray | None = None) -> tuple[float, f
             if error < best[1]:
                 best, weights = (float(fit[0]), float(error)), inverse[0] @ basis.T
         window *= 2
-    if left is not None:
-        best = best[0], max(best[1], float(np.sqrt(np.mean(np.convolve(left, weights[::-1], "valid") ** 2))))
+    if residual is not None:
+        best = best[0], max(best[1], float(np.sqrt(np.mean(np.convolve(residual, weights[::-1], "valid") ** 2))))
     return best

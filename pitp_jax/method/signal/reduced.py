@@ -48,7 +48,7 @@ def reduce_rate(
     poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
     ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
     fastest = fastest_hz(records, forces, ringing / (2 * np.pi))
-    whole = max(fastest, fastest_hz(records, forces, np.zeros(0), _WHOLE * (1 - _noise_share(records))))
+    whole = max(fastest, fastest_hz(records, forces, np.zeros(0), _WHOLE * (1 - _noise_fraction(records))))
     longest, size = (block_size(dt, hz, samples_per_period, shortest) for hz in (fastest, whole))
     size = min(max(size, -(-samples // usable)), longest)
     if size < (2 if samples > usable else _WORTH):
@@ -69,7 +69,7 @@ def fastest_hz(
     return max(min(force_band(forces, dt, share), moved), *modes[modes < _BEYOND * moved], 1e-12)
 
 
-def _noise_share(records: Sequence[Record]) -> float:
+def _noise_fraction(records: Sequence[Record]) -> float:
     """Return the fraction of the motions' energy that is white sensor noise, at most a half."""
     noise = sum(r.samples * noise_std(r.displacement) ** 2 for r in records)
     return float(min(noise / max(sum(r.samples * np.nanvar(r.displacement) for r in records), 1e-300), 0.5))

@@ -272,8 +272,8 @@ def _marginal(
     white = np.array([dtrtrs(factor.T, given, trans=1)[0] for factor in factors])[:, None]
     white, free, one = np.split(white, [targets.shape[1], -1], axis=-1)
     z, tau = np.array(offsets).T[..., None, None]
-    left, free = white - z * one, np.concatenate([free + 0 * tau, tau * one], -1)
-    inner, shared = np.eye(free.shape[-1]) + free.mT @ free, free.mT @ left
-    fits = (left**2).sum(-2) - (shared * np.linalg.solve(inner, shared)).sum(-2)
+    residual, free = white - z * one, np.concatenate([free + 0 * tau, tau * one], -1)
+    inner, shared = np.eye(free.shape[-1]) + free.mT @ free, free.mT @ residual
+    fits = (residual**2).sum(-2) - (shared * np.linalg.solve(inner, shared)).sum(-2)
     sizes = np.log(np.diagonal(factors, 0, 1, 2)).sum(-1)[:, None] + np.linalg.slogdet(inner)[1] / 2
     return float(np.asarray(logsumexp(prior - fits / 2 - sizes[..., None])))

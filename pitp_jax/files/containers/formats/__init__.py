@@ -21,7 +21,7 @@ from ..options import ReadOptions
 from ..table import Parts
 
 _FIRST = 1 << 10  # bytes that a reader is shown
-_FILES = [import_module(f".{found.name}", __name__) for found in pkgutil.iter_modules(__path__)]
+_FILES = [import_module(f".{module.name}", __name__) for module in pkgutil.iter_modules(__path__)]
 READERS: tuple[Any, ...] = tuple(sorted((m for m in _FILES if hasattr(m, "suffixes")), key=lambda m: len(m.suffixes)))
 SUFFIXES = tuple(dict.fromkeys(suffix for reader in reversed(READERS) for suffix in reader.suffixes))
 _UNREAD = {  # suffix: what it is, and what to save instead

@@ -60,7 +60,7 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     source = cleaned(path)
     data = plain_text(path, source)
     spans = _first_lines(data, source)
-    found, refusals = [], []
+    candidates, refusals = [], []
     for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options, source):
         lines = [data[a:b].decode(encoding) for a, b, _ in spans]
         try:
@@ -68,12 +68,12 @@ def tables(path: Path, options: ReadOptions) -> Parts:
                 body = _rows_only(data[spans[layout.first][0] :], layout)
                 if options.decimal is None:
                     layout = _with_decimal(body, layout, source)
-                found.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
+                candidates.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
         except BadInput as error:
             refusals.append(error)
-    if not found:
+    if not candidates:
         raise refusals[0]
-    return [found]
+    return [candidates]
 
 
 def single_column(path: Path) -> Table | None:
@@ -183,7 +183,7 @@ def plain_text(path: Path, source: str) -> bytes:
 def _unlisted(data: bytes) -> bytes:
     """Write lists in cells (`"[0.1, 0.2]"`, `[0.1 0.2]`) as cells of their own, named `name[1]`, `name[2]`, ..."""
     head, _, body = data.partition(b"\n")
-    first = _LIST.sub(lambda found: b"\x1a" * len(_ITEMS.findall(found[1])), body.partition(b"\n")[0])
+    first = _LIST.sub(lambda match: b"\x1a" * len(_ITEMS.findall(match[1])), body.partition(b"\n")[0])
     separator = next((mark for mark in (b"\t", b";", b"|", b",") if mark in first), b",")
     cells = [cell.count(b"\x1a") for cell in first.split(separator)]
     names = [name.strip(b' "') for name in head.split(separator)]
@@ -193,7 +193,7 @@ def _unlisted(data: bytes) -> bytes:
             for name, n in zip(names, cells, strict=True)
         ]
         head = separator.join(name for some in wide for name in some)
-    return head + b"\n" + _LIST.sub(lambda found: separator.join(_ITEMS.findall(found[1])), body)
+    return head + b"\n" + _LIST.sub(lambda match: separator.join(_ITEMS.findall(match[1])), body)
 
 
 def _unbroken(data: bytes) -> bytes:

@@ -206,7 +206,7 @@ def _reduced(op: str):
 
 
 def _product(make, params, args, equation):
-    (left_sum, right_sum), (left_batch, right_batch) = params["dimension_numbers"]
+    (lhs_sum, rhs_sum), (lhs_batch, rhs_batch) = params["dimension_numbers"]
 
     def sorted_out(array, batch, summed):
         free = [k for k in range(array.ndim) if k not in batch and k not in summed]
@@ -216,24 +216,24 @@ def _product(make, params, args, equation):
         return rows.reshape(size), shape[len(batch) :], shape[: len(batch)]
 
     # every product of JAX is a batch of plain ones: (batch, free, summed) on either side
-    left, left_free, batch = sorted_out(args[0], left_batch, left_sum)
-    right, right_free, _ = sorted_out(args[1], right_batch, right_sum)
-    products = np.empty((len(left), left.shape[1], right.shape[1]), object)
-    for k, (a, b) in enumerate(zip(left, right, strict=True)):
+    lhs, lhs_free, batch = sorted_out(args[0], lhs_batch, lhs_sum)
+    rhs, rhs_free, _ = sorted_out(args[1], rhs_batch, rhs_sum)
+    products = np.empty((len(lhs), lhs.shape[1], rhs.shape[1]), object)
+    for k, (a, b) in enumerate(zip(lhs, rhs, strict=True)):
         products[k] = _matrix(make, a, b.T)
-    return [products.reshape((*batch, *left_free, *right_free))]
+    return [products.reshape((*batch, *lhs_free, *rhs_free))]
 
 
-def _matrix(make: Builder, left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def _matrix(make: Builder, lhs: np.ndarray, rhs: np.ndarray) -> np.ndarray:
     """Multiply matrices; a large product of weights and a vector becomes a loop over a table."""
-    if left.size * right.shape[1] > _WRITTEN_OUT:
-        if right.shape[1] == 1 and (table := _weights(make, left)) is not None:
-            return _array(_table(make, table, right[:, 0]), (len(left), 1))
-        if len(left) == 1 and (table := _weights(make, right.T)) is not None:
-            return _array(_table(make, table, left[0]), (1, right.shape[1]))
-    product = np.empty((len(left), right.shape[1]), object)
+    if lhs.size * rhs.shape[1] > _WRITTEN_OUT:
+        if rhs.shape[1] == 1 and (table := _weights(make, lhs)) is not None:
+            return _array(_table(make, table, rhs[:, 0]), (len(lhs), 1))
+        if len(lhs) == 1 and (table := _weights(make, rhs.T)) is not None:
+            return _array(_table(make, table, lhs[0]), (1, rhs.shape[1]))
+    product = np.empty((len(lhs), rhs.shape[1]), object)
     for i, j in np.ndindex(product.shape):
-        product[i, j] = make.total([make.make("mul", a, b) for a, b in zip(left[i], right[:, j], strict=True)])
+        product[i, j] = make.total([make.make("mul", a, b) for a, b in zip(lhs[i], rhs[:, j], strict=True)])
     return product
 
 
@@ -351,11 +351,11 @@ def _repeated(make, params, args, equation):
 
 def _convolved(make, params, args, equation):
     """Convolve two series in one dimension, as in a product of polynomials."""
-    (low, high), left, right = params["padding"][0], list(args[0].ravel()), args[1].ravel()
-    padded = [0.0] * low + left + [0.0] * high
+    (low, high), series, kernel = params["padding"][0], list(args[0].ravel()), args[1].ravel()
+    padded = [0.0] * low + series + [0.0] * high
     sums = [
-        make.total([make.make("mul", a, b) for a, b in zip(padded[k:], right, strict=False)])
-        for k in range(len(padded) - len(right) + 1)
+        make.total([make.make("mul", a, b) for a, b in zip(padded[k:], kernel, strict=False)])
+        for k in range(len(padded) - len(kernel) + 1)
     ]
     return [_array(sums, equation.outvars[0].aval.shape)]
 

@@ -22,17 +22,17 @@ _PACKAGE = __name__.partition(".")[0]
 def identity(step: Any) -> str | None:
     """Return a text that is equal for equal programs; None where it is unknown."""
     try:
-        return f"{_sources()} {_told(step)}"
+        return f"{_sources()} {_description(step)}"
     except (LookupError, OSError):
         return None
 
 
-def _told(value: Any) -> Any:
+def _description(value: Any) -> Any:
     """Return plain values that determine a part of a step; `LookupError` where they are unknown."""
     if value is None or isinstance(value, (bool, int, float, str)):
         return repr(value)
     if isinstance(value, (tuple, list)):
-        return [type(value).__name__, *map(_told, value)]
+        return [type(value).__name__, *map(_description, value)]
     if isinstance(value, jax.ShapeDtypeStruct):
         return "array", value.shape
     kind = value if callable(value) and hasattr(value, "__qualname__") else type(value)
@@ -44,10 +44,10 @@ def _told(value: Any) -> Any:
         return name
     part: Any = value
     if isinstance(getattr(part, "tree", None), jax.tree_util.PyTreeDef):
-        return name, _told(jax.tree.unflatten(part.tree, part.leaves))
+        return name, _description(jax.tree.unflatten(part.tree, part.leaves))
     if not is_dataclass(value):
         raise LookupError(kind)
-    return name, [_told(getattr(value, field.name)) for field in fields(value)]
+    return name, [_description(getattr(value, field.name)) for field in fields(value)]
 
 
 @lru_cache(1)

@@ -89,10 +89,10 @@ def kernel(step: Callable, parameters, start, inputs) -> Kernel | None:
 
 @lru_cache(256)
 def _built(step: Callable, sizes: tuple, width: int, equal: bool) -> Kernel | None:
-    told = identity(step)
-    named = told and f"{told} {sizes} {width} {equal}"
+    key = identity(step)
+    named = key and f"{key} {sizes} {width} {equal}"
     try:
-        known = objects.found(named) if named else None
+        known = objects.look_up(named) if named else None
         if known is None:
             parts = _split(step, *sizes)
             outputs = len(parts.outputs)

@@ -83,7 +83,7 @@ def optimised(llvm, target, text: str) -> Any:
 def address_of(text: str, *, named: str | None = None, outputs: int = 0) -> int:
     """Return the address of the function `run` of a text, from its object file or compiled now.
 
-    `named`: where known, its identity, by which `found` finds the object file and the number of outputs again.
+    `named`: where known, its identity, by which `look_up` finds the object file and the number of outputs again.
     """
     llvm, target, _ = machine()
     name = _hash(text)
@@ -96,7 +96,7 @@ def address_of(text: str, *, named: str | None = None, outputs: int = 0) -> int:
     return _loaded(code)
 
 
-def found(named: str) -> tuple[int, int] | None:
+def look_up(named: str) -> tuple[int, int] | None:
     """Return the number of outputs and the address of a function by its identity; None if no file is known."""
     known = _read(f"{_hash(named)}.name")
     outputs, name = known.decode().split() if known else (0, "")

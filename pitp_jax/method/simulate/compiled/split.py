@@ -52,9 +52,9 @@ def split(step: Callable, parameters: int, states: int, inputs: tuple[int, ...])
         return {k - first for k in places if first <= k < last}
 
     needed: set[int] = set()
-    found = reads(outputs)
-    while found != needed:
-        needed, found = found, found | reads([after[k] for k in found])
+    closure = reads(outputs)
+    while closure != needed:
+        needed, closure = closure, closure | reads([after[k] for k in closure])
     kept = tuple(sorted(needed))
     following = tuple(after[k] for k in kept)
     changes: dict[Node, bool] = {}

@@ -298,7 +298,7 @@ def text_of(step: Split, width: int, *, equal: bool) -> str:
     start = e.at("%S", e.put(f"mul i64 %b, {states}"))
     known.update((n, e.parameter(n.args[0])) for n in step.once if n.op == "input")
     first = [e.load(start, k) for k in step.states]
-    entered, left = e.rows("%U", "%O"), e.rows("%Y", "%P")
+    sources, targets = e.rows("%U", "%O"), e.rows("%Y", "%P")
     e.write(step.once, known)
     before = e.label
     e.lines.append("  br label %time")
@@ -309,7 +309,7 @@ def text_of(step: Split, width: int, *, equal: bool) -> str:
     for n in step.always:
         if n.op == "input":
             k = n.args[0]
-            known[n] = names[k] if k in names else e.gather(entered, now, k - parameters - states)
+            known[n] = names[k] if k in names else e.gather(sources, now, k - parameters - states)
     e.write(step.always, known)
 
     def of(a) -> str:
@@ -318,7 +318,7 @@ def text_of(step: Split, width: int, *, equal: bool) -> str:
 
     now = e.put(f"mul i64 %t, {len(step.outputs)}")
     for k, output in enumerate(step.outputs):
-        e.scatter(left, now, k, of(output))
+        e.scatter(targets, now, k, of(output))
     carried = zip(names.values(), first, map(of, step.next), strict=True)
     phis = [f"  {name} = phi {e.V} [{a}, %{before}], [{b}, %{e.label}]" for name, a, b in carried]
     e.lines[place:place] = [f"  %t = phi i64 [0, %{before}], [%t1, %{e.label}]", *phis]
