@@ -19,7 +19,7 @@ from matplotlib.text import Text
 
 from .page import tag
 
-BINS = 1200
+BINS = 1200  # of a line, each with its two extremes
 _SMALL, _WIDTH = 8.0, 5.0  # points: ticks and legends, labels are one point larger; inches
 _INCHES, _POINT, _SAMPLES = 3.55, 8.5, 1200  # on a page: width, smallest text, samples per line
 _LETTERS = 34  # of a label in a legend: more are wider than a narrow figure

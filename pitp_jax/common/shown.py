@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-_LINES, _ROWS, _WIDTH = 10, 25, 100
+_LINES, _ROWS, _WIDTH = 10, 25, 100  # of the text; of the table in a notebook; characters of a value
 
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":

@@ -15,10 +15,10 @@ from ...common.units import from_base
 from ...method.model.input_map import INPUT_MAPS
 from ...method.signal.record import Record
 
-_PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3
+_PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3  # resonance periods in a window; its energy in lines; less is leakage
 _STILL = 0.02  # of the largest amplitude: a window below it is not excited
-_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5
-_HALF = 0.5
+_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5  # ratio of the ends of a gap; its range, in resonance frequencies
+_HALF = 0.5  # of the largest amplitude: a weaker input leaves the gap open
 
 
 @dataclass(frozen=True)

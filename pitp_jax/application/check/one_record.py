@@ -23,7 +23,7 @@ from ...method.signal.record import Record
 _TAIL = 0.01  # fraction of the input's energy below its band, and above
 _FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
 _ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; above them the spectrum is sensor noise
-_COLOURED, _FEWEST_BANDS = 4.0, 8
+_COLOURED, _FEWEST_BANDS = 4.0, 8  # density of the slowest bands over the fastest; bands needed to tell
 _UNIT = 300.0  # times: more than a resonance and its roll-off change one actuator's range
 _MANY = 0.01  # fraction of the samples: more outliers are more than a few spikes
 _MUCH = 0.05  # fraction of missing samples that is reported

@@ -30,6 +30,7 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
     rows = [_at(u, error, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
     rows = [row for row in rows if row is not None]
     best = min((apart for apart, _ in rows), default=np.inf)
+    # of the lags at which the input repeats about as well as at the best
     return max((level for apart, level in rows if apart <= 1.5 * best), default=None)
 
 

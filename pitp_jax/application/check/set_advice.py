@@ -12,7 +12,7 @@ from .set_fit import SetFit
 
 _PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
 _STDERRS = 4.0  # combined standard errors by which two offsets differ, and 0.2 % of range
-_SMALL = 0.002
+_SMALL = 0.002  # of the range: offsets this close count as equal
 
 
 def set_advice(

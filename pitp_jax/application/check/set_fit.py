@@ -28,13 +28,13 @@ from ...method.signal.reduced import averaged, block_size
 
 _PER_PERIOD = 40  # samples per period of the force band that a record keeps
 _MOST = 300_000  # samples in all
-_ROUNDS = 3
+_ROUNDS = 3  # refits of the common poles, each without the records that differ
 _HALVED = 6  # records from which halves of the set are tried
 _EXACT = 1e-6  # fraction unexplained of a record without noise
 _FEWEST = 3  # records needed to find one that differs from most
 _SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
 _UNEXPLAINED = 0.3  # fraction from which a record may not belong
-_UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)
+_UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)  # factors between units that are easily confused
 _TELLS = 4.0  # standard errors of a record's own gain from which its direction is known
 
 
@@ -186,6 +186,7 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
     whole[seen] = error
     direction = 1.0 if factors[1] >= 0 else -1.0
+    # a record that the poles hardly explain does not show the sign of its gain
     tells = bool(abs(factors[1]) > _TELLS * known and unexplained < 0.9)
     return Beside(replace(begun, direction=direction), float(factors[1]), unexplained, tells, whole, seen, step)
 
@@ -197,6 +198,7 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
         return [replace(row, gain=float("nan")) for row in rows]
     logs = np.log(gains / np.nanmedian(gains))
     usual = float(np.median([row.unexplained for row in rows]))
+    # 1.4826 median deviations are a standard deviation, and a few outliers do not change them
     far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
     spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
     judgements = []
@@ -214,7 +216,7 @@ def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> s
     """Write why a record does not belong to the others; empty if it does."""
     if off and not poor:
         near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
-        if abs(np.log(gain / near)) < 0.3:
+        if abs(np.log(gain / near)) < 0.3:  # within 35 % of such a factor
             return f"moves {gain:.3g} times as far as the others under its input; check its unit and scale"
         return f"moves {gain:.2g} times as far as the others under its input; check preload, scale and actuator"
     if poor:

@@ -9,7 +9,7 @@ from typing import Any
 from ...common.numbers import number as number
 
 _EVERY_S = 5.0  # between lines of progress if standard error is not a terminal
-_REDRAW_S = 0.1
+_REDRAW_S = 0.1  # on a terminal, where a line is redrawn in place
 
 
 def say(line: str) -> None:
@@ -29,7 +29,7 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
 
 def duration(seconds: float) -> str:
     """Write a duration (s) in readable units; `?` if unknown."""
-    if not 0 <= seconds < 1e6:
+    if not 0 <= seconds < 1e6:  # 12 days: an estimate from a stage that has hardly begun
         return "?"
     return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
 

@@ -73,6 +73,7 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
                 f"warning: {drive.name} is sampled every {drive.dt:.6g} s, the recordings of {path} every "
                 f"{model.dt:.6g} s; expect larger errors with coarser sampling"
             )
+        # 0.1 %: the voltages of a file are rounded
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
             seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
             times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)

@@ -42,7 +42,7 @@ class Joint:
 
 
 IDEAL = Joint()
-REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)
+REAL = replace(IDEAL, friction=0.7, delay=0.020, backlash=0.020)  # N m, s, rad: what the simulator lacks
 
 
 def commands(seconds: float) -> dict[str, Callable[[np.ndarray], np.ndarray]]:

@@ -27,7 +27,7 @@ from ..plant.physics import Plant
 from ..plant.virtual_actuator import plant as virtual_actuator
 from ..plant.virtual_actuator import record, simulate
 
-SEED = 20
+SEED = 20  # of the sensor noise and of the training, so that the demo can be repeated
 PREDICTION_PAPER = {  # Table I: e_rms / % at f / Hz
     "roll": {10: 5.35, 20: 1.62, 50: 1.52, 70: 5.36, 100: 3.14, 130: 8.76},
     "cone100": {1: 1.63, 2: 2.29, 4: 1.11, 6: 1.12, 8: 0.83, 10: 1.19},
@@ -148,7 +148,7 @@ def run(
     return Demo(name, swept, sines, test, identified, trained, predicted, linear, tracks)
 
 
-QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}
+QUICK_TRAINING = {"epochs": 6, "stages": 3, "refine_steps": 15}  # without the accuracy of the preset
 
 
 def kind(name: str) -> str:

@@ -74,6 +74,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     tells = finite & (span > _STILL * span.max())
     # infinite, so that a diverged run has weight zero instead of nan
     against = np.where(tells, np.hypot(span, floor / scale), np.inf)
+    # 1e4: squares of errors in percent of the range
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
     information = []
     for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():

@@ -22,7 +22,7 @@ from .limits import Limits
 from .strokes import growth
 from .waveforms import smooth_step, sweep
 
-_GROWTH = (0.25, 0.5, 0.71, 1.0)
+_GROWTH = (0.25, 0.5, 0.71, 1.0)  # of the highest voltage: its square grows 4, 2 and 2 times
 _PARTS = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have the remainder
 _RAISED = 1.1  # least ratio of a growth sweep's voltage to the one before
 _STEEP = 0.85  # of the slew for the swing; its envelope takes the remainder
@@ -101,6 +101,7 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
     Raises:
         BadInput: a duration shorter than one input.
     """
+    # 1e-9: rounding must not cost a recording
     count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
     if count < 1:
         raise BadInput(

@@ -25,7 +25,7 @@ from .limits import Limits
 from .strokes import strokes
 
 _CANDIDATES, _PREDICTED = 48, 16  # candidate inputs, and inputs to be predicted
-_SEEN = 0.01
+_SEEN = 0.01  # relative decrease of the expected error that makes a further recording worthwhile
 _JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix barely singular
 
 

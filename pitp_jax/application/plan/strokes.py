@@ -15,7 +15,7 @@ from ...method.model.model import Model
 from .expected_error import motions
 
 LEAST_DAMPING = 0.01  # of an actuator that has not been identified yet
-_HALF = 0.5
+_HALF = 0.5  # of the identified damping: a resonance then swings twice as far
 _PLACES, _LINES = 40, 3  # resonances over the band; lines of an input's own force
 
 
@@ -55,6 +55,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
         band: possible range of the resonance, Hz; resonances up to 50 % above it are also tried.
     """
     forces = [u * u for u in voltages]
+    # at least five samples in a period: a faster resonance is distorted by its sampling
     places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
     # a resonance of damping 0.01 is narrower than the grid, so an input's own line could miss it
     places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))

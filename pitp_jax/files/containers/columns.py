@@ -20,7 +20,7 @@ from .refusal import Refused
 from .structure import keys_in_turn, refreshed, sign_bit, signed
 from .table import Column, Parts, Table
 
-_MOST_PARTS = 1000
+_MOST_PARTS = 1000  # recordings in a file: a column with more values is a signal, not a run number
 _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
 
 

@@ -19,11 +19,11 @@ import numpy as np
 from ...common.errors import BadInput, cleaned
 
 MAX_COLUMNS = 4096
-MAX_SAMPLES = 10_000_000
-MAX_BYTES = 1 << 30
+MAX_SAMPLES = 10_000_000  # 80 MB a column in float64
+MAX_BYTES = 1 << 30  # 1 GiB, because a file is read into memory as a whole
 _UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to; a mebibyte is always harmless
-_UNFOLDED_BYTES = 256 << 20
-_PIECE = 1 << 20
+_UNFOLDED_BYTES = 256 << 20  # 256 MiB, or 20 times the size of a large archive
+_PIECE = 1 << 20  # bytes that are read or unpacked at a time
 
 
 def check_columns(count: int, source: str) -> None:

@@ -109,6 +109,7 @@ def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
     for bit in _BITS:
         sign = 2.0**bit
         high = seen >= sign
+        # a sign bit is far above all magnitudes; otherwise it belongs to the number
         if not high.any() or high.all() or seen[high].max() >= 1.5 * sign or seen[~high].max() >= sign / 2:
             continue
         at = np.flatnonzero(np.diff(high))

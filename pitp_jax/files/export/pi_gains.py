@@ -130,6 +130,7 @@ def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
 def _slowest(a: np.ndarray) -> float:
     """Return 2 / (zeta w_0) of the slowest resonance (s); without a resonance, 2 / |p| of the slowest pole p."""
     poles = np.roots(a[::-1])
+    # a pair closer to the real axis hardly oscillates
     pairs = poles[np.abs(poles.imag) > 0.1 * np.abs(poles)]
     return float(2 / np.abs((pairs if len(pairs) else poles).real).min())
 

@@ -37,7 +37,7 @@ from .differentiator import ALLOWED, Differentiator, differentiator
 from .equilibria import stroke
 from .pi_gains import PIGains, pi_gains, slew_of
 
-SAMPLES = 1000
+SAMPLES = 1000  # of the test vector that is exported with the code
 _PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: a test vector covers at least these
 _NONE = 1e30  # no limit, in float as in double
 _SMALLEST = 20e-6  # m: the smallest motion single precision has to follow, or a fiftieth of the stroke
@@ -275,6 +275,7 @@ def _vector(plan: Plan) -> Vector:
         top = high if high < _NONE else float(plan.units.input.shown(widest))
         swell = np.sin(np.pi / 2 * np.arange(SAMPLES) / SAMPLES) ** 2
         u, y = _answered(plan, np.clip(0.75 * top * swell * (1 + 0.3 * np.sin(0.71 * t)), low, high), every)
+    # sin^4 starts and ends with three zero derivatives, so the target is at rest there
     smooth = y[np.argmax(np.abs(y))] * 0.4 * np.sin(np.pi * np.arange(len(y)) / len(y)) ** 4
     motion = _between(derivatives(smooth, plan.dt, plan.model.order)[every - 1 :: every], every)
     planned = within(plan, played(plan.inverse_step, motion, 0.0)[0])

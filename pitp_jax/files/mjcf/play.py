@@ -52,6 +52,7 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
         mujoco.mj_step(model, data)
         data.qpos[:], data.qvel[:] = position, speed
     times = record.time - record.time[0]
+    # 1e-6 of a step: rounding must not add a step, or repeat the command before
     count = math.ceil(times[-1] / step - 1e-6)
     held = record.voltage[np.minimum((np.arange(count) * step / record.dt + 1e-6).astype(int), len(times) - 1)]
     angle = np.full(count + 1, np.nan)

@@ -10,8 +10,9 @@ import numpy as np
 from ...common.errors import BadInput
 from ...common.units import INPUT_UNITS, OUTPUT_UNITS
 
+# far above any model, because a damaged size would allocate all memory
 _LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
-_EFFECTS, _LEAVES = 64, 4096
+_EFFECTS, _LEAVES = 64, 4096  # of a model; arrays of a file
 LARGEST_FILE = 1 << 28  # bytes
 
 

@@ -308,6 +308,7 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
 
 def _interpolated(time, voltage, displacement, dt: float, longest: float) -> tuple[Piece, int]:
     """Interpolate one stretch at steps of `dt` (s); return it and the number of output samples masked in gaps."""
+    # 1e-12: rounding must not lose the last instant
     grid = time[0] + dt * np.arange(int((time[-1] - time[0]) / dt * (1 + 1e-12)) + 1)
     drive = mean_of_held(time, voltage, np.append(grid, grid[-1] + dt))
     seen = np.isfinite(displacement)

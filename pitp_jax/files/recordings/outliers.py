@@ -18,7 +18,7 @@ import scipy
 
 from ...method.signal.initial_state import noise_std
 
-_FAR, _LONGEST_SPIKE = 10.0, 3
+_FAR, _LONGEST_SPIKE = 10.0, 3  # times the steps around it, or the usual step; samples
 _SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the input's range by which it must move in them
 _NOISE_OF_STEP = 0.002  # noise of a good laser relative to the steps of its motion; rounding to six digits is below
 _NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record

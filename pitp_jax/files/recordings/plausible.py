@@ -15,7 +15,7 @@ from ...common.units import base_unit
 from ...method.signal.record import Record
 from .outliers import has_few
 
-_HIGHEST = {"V": 1e5, "m": 1e3}
+_HIGHEST = {"V": 1e5, "m": 1e3}  # base units: beyond them a unit is wrong
 _LONG, _EQUAL = 1.0, 0.9  # m; fraction of the samples
 _SAME = 1e-9  # relative difference of equal numbers that were written with different digits
 _FEW = 3  # values of an output that only flickers

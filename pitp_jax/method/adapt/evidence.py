@@ -37,7 +37,7 @@ def covariance(
     size, along = np.linalg.eigh(jacobian.T @ jacobian)
     # A pseudo-inverse would give a direction that the recording does not show no variance, as if it were certain.
     inverse = along / np.maximum(size, _UNSEEN * max(size[-1], 1.0)) @ along.T
-    samples = np.count_nonzero(residual)
+    samples = np.count_nonzero(residual)  # padded and missing samples are exactly zero
     # lines / (lines - count): the fit has removed `count` of them from the residual, as degrees of freedom
     noise = inverse @ meat @ inverse * lines / max(lines - count, 1.0)
     return noise + model_error**2 / _ALIGNED * samples * inverse

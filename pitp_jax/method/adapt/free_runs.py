@@ -30,7 +30,7 @@ from ..simulate.prediction import FAR
 _STEP = 1e-5  # of forward differences in float64
 _MOST_STEPS, _ENOUGH = 10, 1e-3  # of a fit, and the relative decrease below which it ends
 _RESONANCES = np.linspace(-0.4, 0.4, 17)  # logarithms of the inertias at which a fit may start
-_BLOCKS = 8
+_BLOCKS = 8  # of a recording: every other one is held out
 _LOOSE = 0.3  # prior of a first state's shift, in scales of the state
 _INDEPENDENT = 100.0  # values a recording counts as, relative to the priors
 _ZERO = 0.2  # prior of an offset that the first samples do not show, in ranges
@@ -145,6 +145,7 @@ class Problem:
         y = self.readings(z, np.zeros((len(z), len(self.moving) * self.shifts)))
         # a diverged run gets a large error, so that it is never chosen
         for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
+            # not below a half, because a run with a wrong resonance fits best with almost no gain
             ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
             guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
         return min(guesses, key=lambda g: g[0])[1]

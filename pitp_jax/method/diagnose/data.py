@@ -35,7 +35,7 @@ _ENOUGH = 5_000  # samples from which no further record is needed to recognise a
 STEPS = 4  # steps a thinned sample of a linear core, at most
 _FEWEST = 300  # samples a thinned record keeps
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
-_MOST_FOLDS = 6
+_MOST_FOLDS = 6  # each fold is another refit of every hypothesis
 _AROUND = 1e-3  # of the force's energy: outside of the band that was excited
 
 

@@ -14,7 +14,7 @@ from functools import lru_cache
 
 import numpy as np
 
-_BLOCKS, _FEWEST, _DRAWS = 30, 6, 2000
+_BLOCKS, _FEWEST, _DRAWS = 30, 6, 2000  # blocks of all records; of one record; bootstrap draws: 0.9 is known to 0.007
 
 
 @dataclass(frozen=True)

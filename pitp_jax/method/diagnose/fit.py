@@ -21,7 +21,7 @@ from .data import Case
 from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
 
 _EPS = 1e-5  # of a record's range: a smaller error is not evidence
-_STEP = 1e-4
+_STEP = 1e-4  # change of a logarithm, or of a parameter relative to its size, for its slope
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a parameter relative to its value and start
 _REFUSED = 8  # rejected steps until the damping is at its maximum
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
@@ -300,6 +300,7 @@ class Fitter:
     def _move(self, fit: Fit) -> np.ndarray:
         """Return the damped, limited optimiser step of the free parameters."""
         h, g = self.normal(fit)
+        # a parameter without slopes keeps a finite unit, and the damping then holds it still
         d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
         move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
         log = LOGARITHM[[INDEX[k] for k in fit.free]]
@@ -317,7 +318,7 @@ class Fitter:
             fit.done = fit.slow >= 2
         else:
             fit.damping *= 8
-            fit.done = fit.damping > 1e4
+            fit.done = fit.damping > 1e4  # then a step is too short to lower the cost
 
     def refitted_without(self, fits: Sequence[Fit], iterations: int) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
         """Refit every fit without each fold (cross-validation), starting from the fit to all records.

@@ -91,6 +91,7 @@ def closed(before: float, after: float, low: float) -> float | None:
     """Return the fraction of the error above the floor `low` that is removed; None if there was none."""
     if before <= _GAP * low or before <= 0:
         return None
+    # squares of independent errors add up, and no effect can remove the floor
     return float(1 - np.sqrt(max(after**2 - low**2, 0.0) / (before**2 - low**2)))
 
 

@@ -224,6 +224,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
 
 
 _BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, *FAULTS)}
+# only the names of these starts are used, not their sizes
 _UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
@@ -233,6 +234,7 @@ CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))
 INDEX = {name: k for k, name in enumerate(NAMES)}
+# of every slot: a0, a1 and a2 come first, then the effects
 OFF = np.array([0.0] * 3 + [off for spec in ROWS for off in spec.off])
 LOGARITHM = np.array([True] * 3 + [p.positive for p in _NUMBERS])
 LEAST = np.array([-np.inf] * 3 + [p.least for p in _NUMBERS])

@@ -17,7 +17,7 @@ from .library import Scale
 from .search import Hypothesis
 from .simulator import Drive
 
-_SIZES = (1.0, 0.7, 0.5, 0.3)
+_SIZES = (1.0, 0.7, 0.5, 0.3)  # of the recorded input: smaller ones if an effect would exceed the recorded stroke
 
 
 @dataclass(frozen=True)
@@ -42,7 +42,7 @@ def excitations(low: float, top: float, slew: float, hz: float, dt: float, size:
     """Return voltages (V) by name, at the fraction `size` of the range, each about sixty natural periods long."""
     t = np.arange(int(np.clip(60 / hz / dt, 2000, 40000))) * dt
     drives, middle = {}, (top + low) / 2 if low >= 0 else 0.0
-    for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):
+    for m in (0.1, 0.3, 0.5, 0.8, 1.0, 1.5, 2.5):  # times the natural frequency
         # three periods at least, and ten samples in each
         if m * hz * t[-1] < 3 or m * hz > 0.1 / dt:
             continue
@@ -86,6 +86,7 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
         for (what, u), x, y in zip(tried.items(), *runs, strict=True):
             if not (np.isfinite(x).all() and np.isfinite(y).all()):
                 continue
+            # at most 5 % beyond the recorded stroke, where neither hypothesis was tested
             inside = (
                 max(x.max(), y.max()) <= 1.05 * reach[0] + 1e-9
                 and min(x.min(), y.min()) >= min(reach[1], 0.0) * 1.05 - 0.02 * reach[0]

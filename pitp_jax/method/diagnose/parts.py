@@ -33,7 +33,7 @@ from .result import errors_of, factor_name, factors_of, in_units, longest_time
 from .search import PARAMETERS, Hypothesis, Search
 from .verdict import Decision, closing_fractions, needed, rival_without
 
-_NORMAL = 1.96
+_NORMAL = 1.96  # standard deviations in half of a 95 % interval
 _FARTHEST = 5.0  # of a logarithm's error: a factor of e^10 is not a usable estimate
 _ANOTHER = "an excitation of another kind than those recorded"
 

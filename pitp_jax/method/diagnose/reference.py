@@ -20,9 +20,9 @@ from .evidence import Evidence, evidence
 from .library import CORE, INDEX
 from .search import Hypothesis
 
-_PENALTIES = np.geomspace(1e-6, 1.0, 7)
+_PENALTIES = np.geomspace(1e-6, 1.0, 7)  # of features of unit deviation: from almost free to almost zero weights
 _FAMILIES = ("LG", "LSG", "LV")
-_TAUS = 8
+_TAUS = 8  # lags of the input, beside the input itself
 _ROWS = 20_000  # rows that are fitted
 
 
@@ -67,6 +67,7 @@ class _Features:
         for run, speed, d in zip(runs, speeds, drives, strict=True):
             # the linear plant as a filter, so that a force appears as its motion
             b, a = bilinear([1.0], poly, 1 / d.dt)
+            # clipped, because powers of a run that diverges would decide the fit alone
             x, v, u = np.clip(run / sx, -8, 8), np.clip(speed / sv, -8, 8), d.voltage / top
             forces = _forces(x, v, u)
             slow = [_lowpass(x, d.dt, t) for t in np.geomspace(d.dt, self.longest / 4, 6)]
@@ -80,6 +81,7 @@ class _Features:
             return rows
         banks = [np.stack([*p["L"], *p["Z"]], 1) for p in self.parts]
         whole = np.concatenate(banks)
+        # 1e-3: a feature that never changes must not be magnified
         mean, sd = whole.mean(0), whole.std(0) + 1e-3
         # leading directions of the bank alone, because all products of thirty lags would be thousands of columns
         axes = np.linalg.svd(((whole - mean) / sd)[:: max(1, len(whole) // 3000)], full_matrices=False)[2].T[:, :8]

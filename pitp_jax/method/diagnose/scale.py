@@ -28,6 +28,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
     ages = [d.age for d in drives]
     longest = max(len(d.voltage) * d.dt for d in drives)
     band = 2 * np.pi * np.array(excited_hz(case))
+    # quantiles instead of extremes, so that single outliers do not set the starts
     return Scale(
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),

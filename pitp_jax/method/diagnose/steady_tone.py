@@ -75,7 +75,7 @@ def fit_tone(errors: Sequence[np.ndarray], voltages: Sequence[np.ndarray], inter
 
     # a grid first: between two bins the cost may have several minima
     start = min(near + np.linspace(-2, 2, 81) / longest, key=cost)
-    half = 0.05 / longest
+    half = 0.05 / longest  # one step of the grid
     minimum: Any = minimize_scalar(cost, bounds=(start - half, start + half), method="bounded")
     hz = float(minimum.x)
     lines, sizes, variance = [], [], []

@@ -26,7 +26,7 @@ from .steady_tone import steady_tone
 
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
-_BINS = 10
+_BINS = 10  # intervals of an axis of the tables
 _MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
 _FLAG = 0.15  # a flagged cell's missing force, rms, relative to that of the largest cell
 

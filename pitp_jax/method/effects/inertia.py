@@ -55,6 +55,7 @@ def _saturated(p, now: Instant):
     """Return the part of the controller's force that exceeds the limit."""
     if now.order != 2:
         return 0.0 * now.x
+    # inverse 0 is no limit; 1e30 instead of inf keeps the slopes finite
     asked, limit = now.tokens[2] * now.highest, 1 / jnp.maximum(p.inverse, 1e-30)
     return asked - jnp.clip(asked, -limit, limit)
 

@@ -75,6 +75,7 @@ def lag_each_way() -> Kernel:
 
     def advance(p, z, before, after, h):
         rises = jnp.abs(before + after) / 2 > jnp.abs(z)
+        # 1e-9 s stands for no lag, as in `lag`
         up, down = (lag_followed(z, before, after, *lag_weights(jnp.maximum(t, 1e-9), h)) for t in (p.up, p.down))
         return jnp.where(rises, up, down)
 

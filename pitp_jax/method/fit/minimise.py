@@ -28,10 +28,11 @@ from jaxtyping import Array, Float
 
 Blocks = Sequence[Float[np.ndarray | Array, "..."]]  # residuals, or their slopes with the parameters last
 
-_MAX_STEPS = 60
+_MAX_STEPS = 60  # of a fit; then the best parameters are returned as not converged
 _TOLERANCE = 1e-11  # relative decrease of the cost still expected; in 1e5 samples 0.001 of a standard error
 _SLOW, _PATIENCE = 1e-6, 4  # as many steps in a row that each lower the cost by less: a flat valley
 _LONGEST = 2.0  # largest change of a logarithm in one step: a factor e^2, beyond which the quadratic is unreliable
+# lambda at the start; between trials; and from which on a step is below rounding
 _FIRST_DAMPING, _DAMPING_FACTOR, _LARGEST_DAMPING = 1e-3, 4.0, 1e12
 _LOST_DIGITS = 1e-15  # of the largest eigenvalue: a direction below it is rounding
 _PROBE = 0.3  # h: large enough to see the curvature above float32 rounding, small enough to stay on the same parabola

@@ -111,7 +111,7 @@ def rounding(wanted: np.ndarray, dt: float, model: Model) -> tuple[float, float]
 def on_target(motion: Motion, units: Units) -> tuple[str, ...]:
     """Return the warnings about a target before a voltage is planned."""
     model, warnings = motion.model, ()
-    if motion.dt > 1.01 * model.dt:
+    if motion.dt > 1.01 * model.dt:  # 1 %: the clock of a file is rounded
         warnings += (
             f"the target is sampled every {motion.dt:g} s, coarser than the model's {model.dt:g} s: "
             "resample it to a higher rate to keep its shape between samples",

@@ -29,7 +29,7 @@ from .self_check import check
 from .target import at_rate_of_model, without_rounding
 from .voltage import best_voltage, equation_voltage
 
-_SHOTS = 6
+_SHOTS = 6  # simulations of the plan, each of which moves the reference by the last error
 _MOST, _FEW = 0.5, 0.1  # fractions of a target that no voltage can reach: of the target, and of its negative
 
 
@@ -38,12 +38,12 @@ class Feedforward(Shown):
     """A voltage to play, with warnings and the error of the model's own simulation.
 
     Attributes:
-        time: s, shape (M,): the target's clock, with the ramps before and after it.
+        time: s, shape (M,) as all arrays here: the target's clock, with the ramps before and after it.
         voltage: V, within the limits.
         infeasible: True where the target needs a force that no voltage produces (F < 0, by eq. 13).
         saturated: True where it exceeds a voltage or slew limit.
         target: True on the target's own samples.
-        wanted: the given target there; nan before and after.
+        wanted: the given target there, base unit; nan before and after.
         outside_training_share: the larger of two fractions: of the target's samples, outside the trained region; of
             its energy, at frequencies and amplitudes that the model was not trained with.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the

@@ -107,6 +107,7 @@ def swing_in(a: np.ndarray, end: np.ndarray, count: int, dt: float, low: float, 
     pieces = int(np.clip(count // 4, 8, 40))
     knots = np.concatenate([np.zeros(3), np.linspace(0, count * dt, pieces + 1), np.full(3, count * dt)])
     t = np.arange(count + 1) * dt
+    # rounding must not put the last instant behind the last knot
     design = BSpline.design_matrix(np.minimum(t, count * dt * (1 - 1e-12)), knots, 3)
     basis = np.asarray(design.todense(), np.float64)[:, 2:]  # without the first two: F(0) = F'(0) = 0
     states = _respond(a, basis, dt)  # (time, n, coefficients)

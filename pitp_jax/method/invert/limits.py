@@ -84,7 +84,7 @@ def limits_of(
     if max_voltage is not None:
         bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
         high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)
-        if max_voltage > 1.0001 * trained_high:
+        if max_voltage > 1.0001 * trained_high:  # the trained limit may be given with four digits
             warnings += (
                 f"{units.max_input} {units.input.text(max_voltage)} is above {units.input.text(trained_high)}, the "
                 "largest input in the model's recordings",

@@ -21,6 +21,7 @@ from jax.flatten_util import ravel_pytree
 from ...common.errors import BadInput
 from ..model.programs import full_precision
 
+# relative to a resonance: dense where a weakly damped one turns the phase by pi
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
 _COARSE, _RESONANCES = 500, 12  # frequencies over the whole band; resonances with additional frequencies
 _ROUNDING = 1e-7  # of a pole's modulus: a constant state has a pole at 1
@@ -90,6 +91,7 @@ def responding(by_state: np.ndarray, by_value: np.ndarray, dt: float, natural: f
 
 def _frequencies(poles: np.ndarray, dt: float, natural: float) -> np.ndarray:
     """Return frequencies (rad/s) up to half the sampling rate, dense about every resonance."""
+    # one pole of each pair; a positive real pole, or one of a delay at z = 0, has no resonance
     turning = poles[(np.abs(poles) > 1e-3) & (np.angle(poles) > 1e-6)]
     top = np.pi / dt
     coarse = np.geomspace(min(1e-5 * natural, 1e-3 * top), 0.9999 * top, _COARSE)

@@ -23,7 +23,7 @@ from ..numerics.spline_derivative import derivatives_of_blocks
 from .equation import force_and_voltage, scaled_equation, tolerance
 
 _WINDOW = 1 << 17  # rows of a window
-_SMALLEST = 16
+_SMALLEST = 16  # rows of a window, which overlaps both neighbours
 _AHEAD = 2  # rows that `drive.lead` looks ahead and back
 
 

@@ -18,7 +18,7 @@ from ..signal.target import Target
 MOST = 20_000_000  # samples of a plan
 SAME = 1e-6  # relative, between rates
 _CLOSE = 0.01  # relative, between the step of a target and that of a model
-_DEGREE = 5
+_DEGREE = 5  # of a spline that is continuous up to the fourth derivative
 _COARSEST = 1e-3  # of the range: the largest step that is the rounding of a file
 _POWERS, _EXACT = 11, 4.0  # powers of ten that are tried; double-precision roundings of a multiple
 

@@ -25,7 +25,7 @@ from .self_check import Played, beyond, missed, play, stroke
 
 _TRAVEL = 1.2  # largest total variation, relative to that of eq. 13 cut at the limits
 _HEADROOM = 0.95  # fraction of it in the first try
-_TRIES = 3
+_TRIES = 3  # searches, each with bounds reduced by the last excess
 _INTERIOR = 1e-6  # an interior point stops closer to a limit than this
 
 

@@ -26,6 +26,7 @@ def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
         return float(np.abs(pairs[np.argmin(np.abs(slope))]))
     even = a[::2] * (-1.0) ** np.arange(len(a[::2]))  # Re a(jw) as a polynomial in w^2
     squares = np.roots(even[::-1]) if a[0] else np.zeros(0)  # without a spring the phase starts at -90 degrees
+    # roots that are real but for rounding
     lags = np.sqrt(squares.real[(np.abs(squares.imag) <= 1e-9 * np.abs(squares)) & (squares.real > 0)])
     corners = lags if len(lags) else np.abs(roots)
     return float(corners.min()) if len(corners) else 0.0

@@ -40,19 +40,19 @@ class DirectDrive(AbstractDrive):
     """An ideal amplifier and perfect electrodes: the film voltage V equals the amplifier's voltage u."""
 
     def film(self, voltage, dt, rest):
-        """Return the film voltage V = u."""
+        """Return the film voltage, which equals the amplifier's `voltage` u (V), shape (time,)."""
         return voltage
 
     def after(self, film, before, now, dt):
-        """Return the film voltage V = u."""
+        """Return the film voltage one sample later (V): the amplifier's voltage `now`."""
         return now
 
     def lead(self, film, dt):
-        """Return the amplifier's voltage u = V."""
+        """Return the amplifier's voltage, which equals the `film` voltage V (V), shape (time,)."""
         return film
 
     def undo(self, film, dt, first):
-        """Return the amplifier's voltage u = V."""
+        """Return the amplifier's voltage, which equals the `film` voltage V (V), shape (time,); `first` is not used."""
         return film
 
 
@@ -62,21 +62,24 @@ class ElectrodeLag(AbstractDrive):
     log_tau: Float[Array, ""]
 
     def film(self, voltage, dt, rest):
-        """Compute the film voltage V behind the lag, exactly for u linear between samples."""
+        """Compute the film voltage V behind the lag (V), shape (time,), exactly for u linear between samples."""
         # a record cut from a longer one shows no charging: the film already has the input voltage
         start = jnp.where(rest, 0.0, voltage[0])
         return first_order_lags(voltage, jnp.exp(self.log_tau)[None], dt, start[None])[:, 0]
 
     def after(self, film, before, now, dt):
-        """Compute the film voltage V behind the lag, exactly for u linear between samples."""
+        """Compute the film voltage V one sample later (V), exactly for u linear from `before` to `now`."""
         return lag_after(film, before, now, jnp.exp(self.log_tau), dt)
 
     def lead(self, film, dt):
-        """Compute u = V + tau V', with the derivative V' by `slope`."""
+        """Compute the amplifier's voltage u = V + tau V' (V), shape (time,), with the derivative V' by `slope`."""
         return film + jnp.exp(self.log_tau) * slope(film, dt)
 
     def undo(self, film, dt, first):
-        """Compute u exactly, sample by sample: u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c.
+        """Compute the amplifier's voltage u (V), shape (time,), exactly: the inverse of `film`, sample by sample.
+
+            u_{t+1} = (V_{t+1} - q V_t - (1 - q - c) u_t) / c,    u_0 = `first`
+            q = exp(-dt / tau),    c = 1 - (1 - q) tau / dt
 
         An error of `first` alternates in sign and decays by dt / (3 tau) a sample.
         """

@@ -40,7 +40,8 @@ class AbstractEncoder(eqx.Module):
     def over(self, way: Way = "instants") -> Callable[[Rows], Rows]:
         """Return a function from features to logits for many instants: one array per token, one for the offset token.
 
-        Constant parts are computed once here, not at every step of a scan.
+        Constant parts are computed once here, not at every step of a scan. `way`: "instant" if it is called for one
+        instant at a time (vmapped or differentiated), "instants" for arrays of many; both give the same logits.
         """
         return lambda features: vmapped(self, features)
 
@@ -49,7 +50,10 @@ class AbstractEncoder(eqx.Module):
         """Return the encoder with its last layer multiplied by `factor`; factor 0 gives the identified linear model."""
 
     def token_nets(self) -> "AbstractEncoder":
-        """Mark with 1 the weights of networks that have a parallel polynomial of the same inputs, all others with 0."""
+        """Return the encoder with 1 for every weight of a net beside a polynomial of the same inputs, 0 for all others.
+
+        Training gives these weights a stronger prior, so that the polynomial describes what it can.
+        """
         return jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else a, self)
 
 
@@ -217,7 +221,7 @@ class CompactEncoder(AbstractEncoder):
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 
     def token_nets(self):
-        """Mark with 1 the nets of spring and damping, which have parallel polynomials."""
+        """Return the encoder with 1 for every weight of the nets spring and damping, 0 for all others."""
 
         def nets(e):
             return tuple(net for net in (e.spring, e.damping) if net is not None)
@@ -348,7 +352,10 @@ class PaperEncoder(AbstractEncoder):
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):
-        """Return a function from features to logits; for many instants on a CPU it uses tables (`relu_tables`)."""
+        """Return a function from features (S, m) to the n + 2 logits, both one array per quantity, of any shape.
+
+        From 256 instants on, a CPU reads the first layers from exact tables (`relu_tables`). `way` is not used.
+        """
 
         def one_by_one(*features):
             return vmapped(self, features)

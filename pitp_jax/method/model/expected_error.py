@@ -118,4 +118,5 @@ def _limited(moves: Float[np.ndarray, "windows two"], largest: float, dt: float)
     hz, size = moves.T
     # the frequency of a motion below the limit is that of its speed over the limit
     limited = np.maximum(size, _STILL * largest)
+    # above 0 Hz, because the cells are counted in octaves
     return np.stack([np.maximum(hz * size / limited, 1e-6 / dt), limited], 1)

@@ -51,7 +51,7 @@ class OwnEncoder(AbstractEncoder):
         return OwnEncoder(self.module, factor * self.factor)
 
     def token_nets(self):
-        """Mark all weights with 1: a module has no parallel polynomial, but may have as many weights as a net."""
+        """Return the encoder with 1 for every weight: it has no polynomial, but may have as many weights as a net."""
         return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
 
 

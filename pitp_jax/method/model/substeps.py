@@ -10,9 +10,9 @@ from jaxtyping import Float
 
 ACCURACY = 2e-4  # of the range, compared with the exact discretisation
 _LARGEST = 0.25  # |z|: frozen tokens make the decoder of order two, whatever the nominal's poles allow
-_STABLE = 2.0
+_STABLE = 2.0  # |z|, with a margin to 2.78
 _MOST = 16  # steps for accuracy; a pole that needs more is faster than the samples can show
-_LEAST_DAMPING = 1e-4
+_LEAST_DAMPING = 1e-4  # with less, errors add up over more periods than a recording has
 
 
 def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
@@ -24,4 +24,5 @@ def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
     damping = np.maximum(-poles.real / size, _LEAST_DAMPING)
     accurate = size * dt / np.minimum((240 * damping * ACCURACY) ** 0.25, _LARGEST)
     needed = np.maximum(np.minimum(accurate, _MOST), size * dt / _STABLE)
+    # 1e-9: rounding must not add a step
     return int(np.clip(np.ceil(needed.max(initial=1.0) - 1e-9), 1, 4096))

@@ -14,7 +14,7 @@ import numpy as np
 import scipy
 from jaxtyping import Float
 
-_ORDER = 6
+_ORDER = 6  # P, lags of the autoregression
 
 
 def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.ndarray]:

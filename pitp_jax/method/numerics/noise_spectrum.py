@@ -11,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 _QUARTILE = -np.log(0.75)  # P(E < q) = 1 - exp(-q) = 1/4: a bin of noise is exponential about its density
-_BINS = 24
+_BINS = 24  # in a band, at least: their lower quartile is the sixth smallest
 _NEAR = 0.25  # in ln f: range of bins for the colour at f, a quarter of a band's distance to the next but one
 
 

@@ -17,7 +17,7 @@ _STENCILS = (  # reach 1 to 4: orders 2, 4, 6, 8
     (3 / 4, -3 / 20, 1 / 60),
     (4 / 5, -1 / 5, 4 / 105, -1 / 280),
 )
-MIN_LENGTH = 9
+MIN_LENGTH = 9  # samples of the widest stencil: four on either side
 
 
 def central(values: np.ndarray, dt: float) -> np.ndarray:

@@ -22,7 +22,7 @@ _SWEPT = 1.4  # ratio: an octave without its ends
 _DEVIATIONS = 3.7  # standard deviations of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
 _TRIED = 81  # frequencies within a line on either side
 _ELSEWHERE = 0.01  # of the energy of an input that counts as one sine
-_GOLDEN = (5**0.5 - 1) / 2
+_GOLDEN = (5**0.5 - 1) / 2  # multiples of the golden ratio, modulo 1, fill [0, 1] evenly
 
 
 def is_sweep(record: Record) -> bool:
@@ -40,6 +40,7 @@ def _is_swept(turns: np.ndarray) -> bool:
     # ends of at most 32 segments with equally many turning points each
     ends = turns[np.unique(np.linspace(0, len(turns) - 1, min(len(turns), 2 * _SEGMENTS + 1)).astype(int))]
     spans = np.log(np.diff(ends) / np.diff(np.searchsorted(turns, ends)))
+    # the outer twentieths may be rests before and after the sweep
     low, high = np.quantile(spans, (0.05, 0.95))
     if high - low < np.log(_SWEPT) or len(np.unique(np.round(spans, 1))) < 4:
         return False
@@ -84,6 +85,7 @@ def kind(record: Record) -> str:
         u = u[turns[0] : turns[-1] + 1]
     power = _lines(u) ** 2
     peak = int(np.argmax(power[1:])) + 1
+    # three lines on either side hold what the window spreads
     return "sine" if power[max(peak - 3, 1) : peak + 4].sum() > 0.8 * power[1:].sum() else "broadband"
 
 

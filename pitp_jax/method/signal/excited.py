@@ -16,7 +16,7 @@ import numpy as np
 
 Table = tuple[tuple[float, float, float], ...]
 
-PERIODS, PER_OCTAVE = 32, 4
+PERIODS, PER_OCTAVE = 32, 4  # of the slowest frequency in a window; bands
 TOLERANCE = 1.5  # times the amplitude reached: windows see the same motion at slightly different sizes
 _PART = 1e-3  # of a recording's energy
 _SLOW = 0.35  # of the resonance, an edge of the diagnosis's bands
@@ -198,6 +198,7 @@ def unexcited(
     """
     if not table:
         return None
+    # 1e-6: a band that ends at the edge of a cell does not enter it
     cells, low, high = Cells(table, resonance_hz), int(_number(band[0])), int(_number(band[1] * (1 - 1e-6)))
     ranges = ((n, max(_edge(n), band[0]), min(_edge(n + 1), band[1])) for n in range(low, high + 1))
     missing = [(n, a, b) for n, a, b in ranges if not cells.excite(n, amplitude(np.sqrt(a * b)))]

@@ -18,7 +18,7 @@ from .record import Record
 
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
-_STILL, _SMALL, _FAINT = 10.0, 0.2, 0.02
+_STILL, _SMALL, _FAINT = 10.0, 0.2, 0.02  # times the noise; of the largest motion, and of the largest input, of the set
 _FLAT, _LEVEL = 1e-3, 0.02  # of the input's range, and of a noisy input's
 _FEWEST, _WITHIN = 8, 48  # observed samples needed for a first state; samples within which they must lie
 
@@ -67,6 +67,7 @@ def noise_std(displacement: np.ndarray) -> float:
 def _rounding(displacement: np.ndarray) -> float:
     """Return the standard deviation of rounding to the sensor's smallest step, output unit; 0 if constant."""
     steps = np.abs(np.diff(displacement))
+    # rounding to steps q is uniform over q, with the deviation q / sqrt(12)
     return float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0) if (steps > 0).any() else 0.0
 
 

@@ -21,8 +21,8 @@ from ...common.errors import BadInput
 from .derivative import DIFFERENCES, MIN_LENGTH
 from .record import Record
 
-ENERGY_FRACTION = 0.99
-BUTTERWORTH_ORDER = 4
+ENERGY_FRACTION = 0.99  # of the force, below the frequency that sets the cut-off
+BUTTERWORTH_ORDER = 4  # of one pass; the filter runs forwards and backwards
 # Samples within 12 / (2 pi f_c) of an end are left out. For motion that fills the band, the rest is within
 # 1 % of the RMS of x''' (0.02 % of x); a sine far below f_c keeps some per cent of its small x'''.
 SETTLING = 12.0

@@ -25,7 +25,7 @@ from ..drawing import DRIVE, ERROR, MEASURED, PREDICTED, beside, signals, volts
 TIED = "#e69f00"
 FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")
 _HEAT = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
-_SMALL = 8.0
+_SMALL = 8.0  # points: text beside bars
 _ROWS, _CYCLES = 12, 6  # effects in the ranking figure; oscillations in the zoom
 
 

@@ -26,7 +26,7 @@ kind, remedy = "a MATLAB file", "save it from MATLAB with -v7 or -v7.3"
 suffixes = (".mat",)
 begins = (b"MATLAB", b"\x89HDF")
 _COMPRESSED, _MATRIX, _CONTAINERS = 15, 14, (1, 2, 3)  # element types; classes cell, struct, object
-_DEEPEST, _ELEMENTS = 4, 20_000
+_DEEPEST, _ELEMENTS = 4, 20_000  # levels of cells and structs; elements of a file, nested ones included
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:

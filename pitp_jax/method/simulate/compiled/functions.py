@@ -17,8 +17,8 @@ from ...numerics.scalar.scalars import Node
 _ROUND = 6755399441055744.0  # 1.5 * 2^52: adding it rounds to an integer, which its last bits hold
 _LN2 = 6.93147180369123816490e-01, 1.90821492927058770002e-10  # the first part has 33 bits (fdlibm)
 _PI = 3.1415926534682512, 1.2154201012607932e-10, 4.044532497422333e-21  # twice the parts of pi / 2 of fdlibm
-_EXP = [1 / math.factorial(k) for k in range(13, 1, -1)]
-_SIN = [(-1) ** (k // 2) / math.factorial(k) for k in range(21, 2, -2)]
+_EXP = [1 / math.factorial(k) for k in range(13, 1, -1)]  # Taylor series of (exp(r) - 1 - r) / r^2, |r| <= ln 2 / 2
+_SIN = [(-1) ** (k // 2) / math.factorial(k) for k in range(21, 2, -2)]  # of (sin(r) - r) / r^3 in r^2, |r| <= pi / 2
 _LARGEST = 708.0  # exp of more is taken as inf, of less than its negative as 0
 
 
@@ -80,6 +80,7 @@ class Functions:
     def tanh(self, x):
         """Compute the hyperbolic tangent."""
         op = self.op
+        # tanh(20) rounds to 1 in double precision
         less, power = self._parts(op("mul", self.between(op("abs", x), 0.0, 20.0), 2.0))
         e = op("add", less, op("sub", power, 1.0))
         y = op("div", e, op("add", e, 2.0))
