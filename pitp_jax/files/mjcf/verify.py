@@ -49,7 +49,7 @@ class Verification:
 
     Attributes:
         mjcf, joint, version: file, joint, and MuJoCo's version.
-        played: every recording.
+        played: every recording, with the joint position that MuJoCo simulated before and after.
     """
 
     mjcf: str
@@ -58,7 +58,11 @@ class Verification:
     played: tuple[Played, ...]
 
     def gap(self, held_out: bool, after: bool = True) -> float | None:
-        """Return the error pooled over the recordings used by the diagnosis, or held out from it; None if none."""
+        """Return the rms error pooled over recordings, % of their ranges; None without such recordings or file.
+
+        `held_out`: of recordings that the diagnosis did not use, otherwise of those that it used. `after`: of the new
+        file, otherwise of the file before the change.
+        """
         these = [p for p in self.played if p.held_out == held_out]
         if not these or (not after and these[0].before is None):
             return None

@@ -72,7 +72,7 @@ class Diagnosis:
 
     @property
     def records(self) -> dict[str, list]:
-        """Return the names of the records that were fitted, predicted out of fold, and left out together."""
+        """Return record names: `fitted`, `heldout` (predicted out of fold), `folds` (left out together)."""
         return {"fitted": list(self.fitted), "heldout": list(self.heldout), "folds": [list(f) for f in self.folds]}
 
     def as_json(self, csv: str | None = None) -> dict:

@@ -98,7 +98,8 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
         exported: bytes from `CompiledStep.exported.serialize()`.
 
     Returns:
-        fn(carry, input) -> (carry, output), compiled.
+        fn(carry of shape (C,), input of shape (inputs,)) -> (carry, output of shape ()), in float32, as
+        `CompiledStep.run`.
 
     Examples:
         >>> run = pitp.restore_step(pitp.decoder_step(model, 1e-3).exported.serialize())  # doctest: +SKIP

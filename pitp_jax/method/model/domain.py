@@ -40,7 +40,7 @@ class Domain(Constants):
         return age if abs(age) < ABSOLUTE else 0.0
 
     def driven_by(self, records: Sequence[Record]) -> "Domain":
-        """Return the domain with its voltage range and slew limit widened to those of these records."""
+        """Return the domain with its voltage range (V) and slew (V/s) widened to those of these records."""
         low, high = self.voltage_range
         return replace(
             self,

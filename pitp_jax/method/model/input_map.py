@@ -49,11 +49,11 @@ class SquareInput(AbstractInputMap):
     name, unit, one_sided = "square", "V^2", True
 
     def force(self, voltage):
-        """Compute F = u^2 (V^2)."""
+        """Compute the force F = u^2, in input units (V^2)."""
         return voltage * voltage
 
     def voltage(self, force):
-        """Compute u = sqrt(max(F, 0)) in V, with a zero derivative (not nan) at F <= 0."""
+        """Compute the voltage u = sqrt(max(F, 0)) (V) of a force (V^2), with a zero derivative (not nan) at F <= 0."""
         positive = force > 0  # used twice: the untaken branch of a `where` is differentiated too, and 0 * inf is nan
         return jnp.where(positive, jnp.sqrt(jnp.where(positive, force, 1.0)), 0.0)
 
@@ -68,11 +68,11 @@ class LinearInput(AbstractInputMap):
     name, unit, one_sided = "linear", "V", False
 
     def force(self, voltage):
-        """Return F = u (V)."""
+        """Return the force F = u, in input units (V)."""
         return voltage
 
     def voltage(self, force):
-        """Return u = F (V)."""
+        """Return the voltage u = F (V), of either sign."""
         return force
 
     def infeasible(self, force):

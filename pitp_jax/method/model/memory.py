@@ -53,7 +53,7 @@ class NoMemory(AbstractMemory):
         return 0
 
     def initial(self, x):
-        """Return an empty vector, because there are no memory states."""
+        """Return an empty vector, shape (0,), because there are no memory states."""
         return jnp.zeros((0,), jnp.result_type(x))
 
     def rate(self):
@@ -76,7 +76,7 @@ class ElapsedTime(AbstractMemory, Constants):
         return 1
 
     def initial(self, x):
-        """Return zero, the time of the record's first sample."""
+        """Return zero, the time of the record's first sample, shape (1,)."""
         return jnp.zeros((1,), jnp.result_type(x))
 
     def rate(self):
@@ -136,11 +136,14 @@ class RingingMemory(AbstractMemory):
         return jnp.exp(self.log_omega), jnp.minimum(jnp.exp(self.log_zeta), 0.99)
 
     def initial(self, x):
-        """Return the memory states after a long constant x: the second mass rests at x, and every lag equals x."""
+        """Return the states after a long constant x: the second mass rests at x, every lag equals x, shape (K,)."""
         return jnp.full((self.size,), 1.0, jnp.result_type(x)).at[1].set(0.0) * x
 
     def rate(self):
-        """Return a function for the derivatives w v, w (x - r - 2 zeta v) with v = r' / w, then (x - z_k) / tau_k."""
+        """Return a function of (memory, x) for the derivatives (1/s) of r, v = r' / w and the lags z_k.
+
+        They are w v, w (x - r - 2 zeta v) and (x - z_k) / tau_k.
+        """
         # v = r' / w, so that position and speed have similar size and float32 resolves both
         (omega, zeta), lags = self.ring, FadingMemory(self.log_tau).rate()
 

@@ -36,8 +36,9 @@ Hold = Literal["foh", "zoh", "bandlimited"]
 
 
 class Output(Constants):
-    """The sensor's offset and direction: x = polarity (y - offset), y as measured (m or V).
+    """The sensor's offset and direction: x = polarity (y - offset), y as measured (base unit).
 
+    `offset`: the reading y at rest, base unit. `polarity`: 1, or -1 if y decreases as the actuator extends.
     Its numbers are `constants`: exact on the host, and no parameters of the model.
     """
 
@@ -45,11 +46,11 @@ class Output(Constants):
     polarity: float = eqx.field(converter=number, default=1.0)
 
     def to_model(self, y):
-        """Convert a sensor reading to the displacement from the rest position (m)."""
+        """Convert sensor readings y (base unit) to displacements x from the rest position, same unit and shape."""
         return self.polarity * (y - self.offset)
 
     def to_rig(self, x):
-        """Convert a displacement from the rest position (m) to the sensor's reading."""
+        """Convert displacements x from the rest position (base unit) to sensor readings y, same unit and shape."""
         return self.polarity * x + self.offset
 
 
@@ -151,7 +152,10 @@ class Model(eqx.Module):
     def tokens(
         self, features: Float[Array, " features"], *, key=None
     ) -> tuple[Float[Array, " tokens"], Float[Array, ""]]:
-        """Compute the scaled coefficients sigma_0 ... sigma_n and the offset token from the features of one instant."""
+        """Compute the coefficients sigma_0 ... sigma_n, shape (n + 1,), and sigma_off from the features of one instant.
+
+        All are in scaled units (`scales`); `features` are the scaled state, then the memories. `key` turns dropout on.
+        """
         tokens, offset = self.tokens_from(self.encoder(features, key=key))
         return jnp.stack(tokens), offset
 
