@@ -3,7 +3,9 @@
 import numpy as np
 import pytest
 
+from pitp_jax.method.invert.motion import settling
 from pitp_jax.method.model.dominant import dominant_frequency
+from pitp_jax.method.model.model import linear_model
 
 HZ = 2 * np.pi
 
@@ -30,6 +32,7 @@ def real(hz):
         ([np.array([0.0, 1.0]), real(3.0)], 3.0),
         ([np.array([0.0, 1.0]), real(3.0), real(30.0)], 3.0),
         ([np.array([0.0, 1.0])], 0.0),
+        ([real(1e-9), real(3.0)], 3.0),  # the pole that stands for one at 0 after an identification
     ],
 )
 def test_the_mode_that_is_meant(factors, hz):
@@ -44,3 +47,7 @@ def test_without_a_resonance_the_model_lags_90_degrees_there():
     a = np.convolve(np.convolve(real(1.0), real(4.0)), real(9.0))
     w = dominant_frequency(a)
     assert np.angle(np.polyval(a[::-1], 1j * w)) == pytest.approx(np.pi / 2, abs=1e-9)
+
+
+def test_a_lead_in_does_not_wait_for_an_integrator():
+    assert settling(linear_model([1e-7, 5.8, 2.7], dt=0.01))[0] < 10.0

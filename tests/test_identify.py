@@ -226,6 +226,35 @@ def test_without_a_spring(coefficients):
     assert (a[1], a[2]) == pytest.approx((20 / 50, 1 / 50), rel=0.02)
 
 
+def axis(seed, *, offset, kind=SAMPLES // 2):
+    """A motor axis under a position controller at 200 Hz: 2.7 x'' + 5.8 x' = u + offset, and 0.05 % of noise."""
+    dt, rng = 5e-3, np.random.default_rng(seed)
+    top, bottom, _ = of_kind(tuple, cont2discrete(([1.0], [2.7, 5.8, 0.0]), dt, method="zoh"))
+    (_, b1, b2), (_, a1, a2) = top.ravel(), bottom
+    goal = np.repeat(0.1 * rng.standard_normal(kind // 250), 250)
+    goal = lfilter([0.03], [1, -0.97], goal)
+    x, u = np.zeros(kind), np.zeros(kind)
+    for t in range(kind):
+        x[t] = -a1 * x[t - 1] - a2 * x[t - 2] + b1 * (u[t - 1] + offset) + b2 * (u[t - 2] + offset) if t > 1 else 0.0
+        u[t] = 80 * (goal[t] - x[t]) - 8 * (x[t] - x[t - 1]) / dt * (t > 0)
+    noise = 5e-4 * np.ptp(x)
+    return Record(f"axis{seed}", dt * np.arange(kind), u, x + noise * rng.standard_normal(kind)), noise
+
+
+@pytest.mark.parametrize("offset", [0.0, 0.3])
+def test_an_axis_without_a_spring_predicts_other_motions_at_the_noise(offset):
+    """The controller's input balances an offset of the amplifier, which an integrator would run away with."""
+    record, noise = axis(1, offset=offset)
+    found = identify([record], input_map="linear", leave_out=("delay",))
+    fit = found.chosen
+    assert fit.integrates and fit.order == 2 and not any("unstable" in line for line in found.remarks)
+    assert fit.coefficients == pytest.approx([0.0, 5.8, 2.7], rel=3e-3, abs=1e-6)
+    assert fit.input_offset == pytest.approx(offset, abs=3e-3) and fit.rms < 1.03 * noise
+    other, noise = axis(2, offset=offset)
+    (run,) = predict(found.model, [other])
+    assert np.sqrt(np.mean((run.displacement - other.displacement)[run.scored] ** 2)) < 1.5 * noise
+
+
 def test_what_is_left_out_of_fold_by_band(coefficients):
     """White noise alone is left of a linear plant: in every octave as much as its width says; the model carries it."""
     found = identify([sweep(coefficients(2), 30)], order=2, hold="foh", leave_out=("delay",))

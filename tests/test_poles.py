@@ -8,13 +8,14 @@ from scipy.integrate import solve_ivp
 from scipy.signal import lsim
 
 from pitp_jax.method.identify.linear_ode import (
+    bounded,
     coast,
     logs_from_roots,
-    no_faster,
     poles,
     polynomial,
     polynomial_slopes,
     respond,
+    respond_with_slopes,
 )
 
 STEP = 0.4
@@ -91,6 +92,25 @@ def test_free_responses_span_every_initial_state(order):
     assert np.abs(left).max() < 1e-9 and rings.sum() == 2 * (order // 2)
 
 
+@pytest.mark.parametrize("logs", [[-np.inf], [0.2, -np.inf], [-1.5, 0.1, -np.inf]])
+def test_a_pole_at_zero_against_scipy(logs):
+    """Without a spring: the response of unit rate, its slopes and its rate, and every initial state."""
+    drive, poly, n = np.random.default_rng(len(logs)).standard_normal(60), coefficients(logs), len(logs)
+    plant = (*system(logs)[:1], poly[1] * np.eye(n)[:, -1:], np.eye(n)[:1], np.zeros((1, 1)))
+    truth = lsim(plant, drive, np.arange(60) * STEP)[1]
+    how = {"step": STEP, "square": False, "hold": "foh"}
+    found, by_logs, rate = respond_with_slopes(np.array(logs), drive, **how)
+    np.testing.assert_allclose(found, truth, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(respond(np.array(logs), drive, **how), truth, rtol=0, atol=1e-10)
+    np.testing.assert_allclose(by_logs.T, slopes(lambda z: respond(z, drive, **how), logs), rtol=0, atol=1e-7)
+    early, late = (respond(np.array(logs), drive, late=t, **how) for t in (2.0, 2.0 + 1e-6))
+    np.testing.assert_allclose(rate[3:-3], (early - late)[5:-1] / (1e-6 * STEP), rtol=0, atol=1e-4)
+    start = np.random.default_rng(9).standard_normal(n)
+    free = lsim(plant, np.zeros(60), np.arange(60) * STEP, X0=start)[1]
+    columns, _ = coast(np.array(logs), 60, step=STEP)
+    assert np.abs(free - columns @ np.linalg.lstsq(columns, free, rcond=None)[0]).max() < 1e-9
+
+
 def test_two_poles_at_one_place():
     """(s + 1)^2: partial fractions do not exist, and the response is right nevertheless."""
     drive = np.random.default_rng(0).standard_normal(60)
@@ -151,5 +171,5 @@ def test_a_pole_far_above_the_samples_is_not_seen():
 
 
 def test_a_pole_too_fast_moves_no_other():
-    moved = poles(no_faster(logs_from_roots(np.array([-1e4, -16.0, -3 + 4j, -3 - 4j])), 600.0))
+    moved = poles(bounded(logs_from_roots(np.array([-1e4, -16.0, -3 + 4j, -3 - 4j])), 0.0, 600.0))
     assert sorted(np.abs(moved)) == pytest.approx([5.0, 5.0, 16.0, 600.0])

@@ -24,7 +24,7 @@ from ..signal.reduced import averaged, block_size
 from ..signal.start import Response, estimate_start, first_part
 from .frequency_fit import linear_start
 from .frequency_response import frequency_response
-from .linear_ode import coast, logs_from_roots, no_faster, polynomial, respond
+from .linear_ode import bounded, coast, logs_from_roots, polynomial, respond
 from .linear_ode import poles as modes
 from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
 from .starts import cost_of, guesses
@@ -118,7 +118,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     starts += [] if by_response is None else [by_response]
     scored = []
     for start in starts:
-        logs = no_faster(start, FASTEST / problem.fine)
+        logs = bounded(start, 0.0, FASTEST / problem.fine)
         same = _directed(logs, problem)
         scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
     fits = []

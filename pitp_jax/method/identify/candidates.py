@@ -11,6 +11,7 @@ servo joints: 7 to 14 % in sample, -8 % on other records).
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -21,7 +22,7 @@ from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
 from .linear_ode import logs_from_roots
 from .order_fit import identifiable
-from .output_error import Problem, Structure, least_squares
+from .output_error import Problem, Structure, least_squares, poles_of
 from .starts import best_starts, guesses, one_more
 
 NEAR, TIE = 1.03, 1.01
@@ -84,6 +85,25 @@ def search(
         best = min(here, key=lambda c: c.score)
         progress(f"order {order}: error {100 * best.score:.3g} % of the output's deviation on held-out blocks")
     return candidates
+
+
+def without_spring(candidates: Sequence[Candidate], problem: Problem, holds: Sequence[Hold]) -> list[Candidate]:
+    """Return a candidate with a pole at 0 for each whose slowest pole turns less than 1 rad in the records."""
+    found = []
+    for c in candidates:
+        known = poles_of(c.params, c.structure)
+        slowest = np.argmin(np.abs(known))
+        if np.abs(known[slowest]) * problem.seconds > 1:
+            continue
+        ends: list[tuple[Structure, Ending]] = []
+        for hold in holds:
+            structure = replace(c.structure, integrates=True, hold=hold)
+            roots = [np.delete(known, slowest), *(guesses(structure.moved, problem) if structure.moved else [])]
+            starts = best_starts(structure, problem, [] if ends else roots, most=2)
+            starts += [_under(hold, end, problem) for end in ends]
+            ends += [(structure, _short(start, structure, problem)) for start in starts]
+        found += [_scored(*min(ends, key=lambda e: e[1][1]), problem)] if ends else []
+    return found
 
 
 def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:

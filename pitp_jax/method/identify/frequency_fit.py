@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optimistix
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Inexact
 
 from ..numerics.where import where
 from .frequency_response import FrequencyResponse
@@ -34,9 +34,10 @@ def fit_response(
     response: FrequencyResponse, dt: float, orders: Sequence[int] = ORDERS, delays: Sequence[bool] = (False, True)
 ) -> dict[tuple[int, bool], np.ndarray]:
     """Fit every (order, delayed); return logarithms of the pole coefficients (rad/s), then of the delay (s)."""
-    s, value, weight, held, unit = Lines.of(response, dt)
+    lines = Lines.of(response, dt)
+    s, value, weight, held, unit = lines
     shapes = [(order, delayed) for order in orders for delayed in delays]
-    rows = [(_start(*shape, s, value / held, weight * held, unit * dt), _mask(*shape)) for shape in shapes]
+    rows = [(_start(*shape, lines, unit * dt), _mask(*shape)) for shape in shapes]
     pad = _LINES - len(s)  # padded to one shape with weight 0, so that one program serves every record
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
@@ -54,9 +55,8 @@ def fit_response(
 
 def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
     """Return log pole coefficients (rad/s) of a linear equation-error fit, which needs no initial guess."""
-    s, value, weight, held, unit = Lines.of(response, dt)
-    start = _start(order, False, s, value / held, weight * held, unit * dt)
-    return _logs(start, order, unit)
+    lines = Lines.of(response, dt)
+    return logs_from_roots(lines.unit * equation_error(lines, order, 0.0))
 
 
 class Lines(NamedTuple):
@@ -99,20 +99,36 @@ def _mask(order: int, delayed: bool) -> np.ndarray:
     return np.concatenate([pairs, [order % 2 == 1, delayed]]).astype(float)
 
 
-def _start(order: int, delayed: bool, s, value, weight, sample: float) -> np.ndarray:
-    """Return initial parameters from the linear fit  a(s) G = e^{-s tau},  weighted by 1 / |a|, at the best delay."""
+def equation_error(
+    lines: Lines, order: int, late: float, *, zeros: int = 0, origin: bool = False
+) -> Inexact[np.ndarray, " poles"]:
+    """Return the poles of the linear fit  a(s) G = b(s) e^{-s tau},  weighted by 1 / |a|, with tau = `late`.
+
+    Scaled so that b_0 = 1. `origin`: b_0 may be 0; the sum of squares of all coefficients is 1 instead.
+    """
+    s, size, a = lines.s, np.ones(len(lines.s)), np.ones(order + 1)
+    value, powers = lines.value / lines.held * np.exp(s * late), s[:, None] ** np.arange(max(order, zeros) + 1)
+    for _ in range(_ROUNDS):
+        rows = np.column_stack([powers[:, : order + 1] * value[:, None], -powers[:, : zeros + 1]])
+        rows = rows * (lines.weight * np.abs(lines.held) * size)[:, None]
+        rows = np.vstack([rows.real, rows.imag])
+        norm, last = np.linalg.norm(rows, axis=0) + 1e-300, order + 1  # the column of b_0
+        if origin:
+            a = (np.linalg.svd(rows / norm, full_matrices=False)[2][-1] / norm)[:last]
+        else:
+            others = np.delete(rows / norm, last, axis=1)
+            a = (np.linalg.lstsq(others, -rows[:, last], rcond=1e-10)[0] / np.delete(norm, last))[:last]
+        # the weight 1 / |a| of the last round makes an equation error an output error (Sanathanan & Koerner)
+        size = 1 / np.maximum(np.abs(powers[:, : order + 1] @ a), 1e-9 * np.abs(a).max())
+    return np.roots(a[::-1])
+
+
+def _start(order: int, delayed: bool, lines: Lines, sample: float) -> np.ndarray:
+    """Return initial parameters from the equation error, at the best delay."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
+    s, value, weight = lines.s, lines.value / lines.held, lines.weight * lines.held
     for late in _DELAYS if delayed else (0.0,):
-        target = np.exp(-s * late * sample) / value
-        powers, size = s[:, None] ** np.arange(order + 1), np.abs(value)
-        a = np.ones(order + 1)
-        for _ in range(_ROUNDS):
-            rows = np.column_stack([powers, target]) * (weight * np.abs(value) * size)[:, None]
-            stacked = np.vstack([np.real(rows), np.imag(rows)])
-            a = np.linalg.lstsq(stacked[:, :-1], stacked[:, -1], rcond=1e-10)[0]
-            # the weight 1 / |a| of the last round makes an equation error an output error (Sanathanan & Koerner)
-            size = 1 / np.maximum(np.abs(powers @ a), 1e-3 * np.abs(target))
-        roots = np.roots(a[::-1])
+        roots = equation_error(lines, order, late * sample)
         if len(roots) != order or not np.isfinite(roots).all():
             continue
         logs = logs_from_roots(roots)

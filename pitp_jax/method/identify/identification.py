@@ -21,6 +21,7 @@ from ...common.shown import Shown
 from ..effects import effect
 from ..model.coverage import with_excited
 from ..model.domain import Domain
+from ..model.dominant import dominant_frequency
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted
 from ..model.input_map import INPUT_MAPS, usual_input_map
@@ -36,7 +37,7 @@ from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
 from ..signal.sets import check_set
 from .beginnings import find_beginnings
-from .candidates import NEAR, choose, search
+from .candidates import NEAR, choose, search, without_spring
 from .explained import explains, is_noise
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
@@ -229,6 +230,8 @@ def _identified(
     small = _averaged(records, input_map, begun, roots, finest)
     response = frequency_response(whole)
     candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
+    if input_map == "linear":
+        candidates += without_spring(candidates, small, [hold] if hold else _HOLDS)
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
     if not fit.poles_known:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
@@ -369,7 +372,7 @@ def _coloured(
     Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
     effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
     """
-    apart = int(np.clip(1 / (30 * fit.natural_hz[0] * problem.dt), 1, 4))
+    apart = int(np.clip(1 / (30 * max(fit.natural_hz[0], 1 / problem.seconds) * problem.dt), 1, 4))
     found = []
     residuals = solve(chosen.params, chosen.structure, problem).residuals
     for record, b, residual in zip(records, begun, residuals, strict=True):
@@ -386,7 +389,7 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
     """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
     gains = solve(chosen.params, chosen.structure, problem).gains
     polarity = float(np.sign(gains[0]) or 1.0)
-    errors, first = np.zeros(problem.free_zeros), chosen.structure.order + 1
+    errors, first = np.zeros(problem.free_zeros), chosen.structure.moved + 1
     if problem.free_zeros:
         variance = np.diag(covariance(chosen.params, chosen.structure, problem))
         errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
@@ -435,7 +438,7 @@ def _to_model(
     force_scale = max(float(np.abs(f).max()) for f in forces)
     longest = int(np.argmax([r.samples for r in records]))
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))
-    omega = (a[0] / a[n]) ** (1 / n)
+    omega = dominant_frequency(a) if chosen.input_offset else (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
     long = thinned(aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest")
     noise = float(np.median([noise_std(r.displacement) for r in records]))
@@ -463,6 +466,7 @@ def _to_model(
         substeps=substeps(a, dt),
         domain=Domain(dt, (np.inf, -np.inf), 0.0, noise=noise).driven_by(records),
     )
-    if chosen.delay > 0:
-        model = replace(model, effects=(effect("delay", time=chosen.delay),))
+    parts = [effect("delay", time=chosen.delay)] if chosen.delay > 0 else []
+    parts += [effect("voltage_offset", offset=chosen.input_offset)] if chosen.input_offset else []
+    model = replace(model, effects=tuple(parts))
     return Fitted(model, with_excited(origin, records))

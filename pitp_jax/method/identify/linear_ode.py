@@ -2,6 +2,7 @@
 
     P(s) = prod (s^2 + e^p s + e^q) [(s + e^r)] = prod (s - p_i):  every stable polynomial is reached
     P(0) / P(s) = sum_i r_i / (s - p_i),    r_i = P(0) / prod_{j != i} (p_i - p_j)            (partial fractions)
+    without a spring (a pole at 0, the logarithm -inf) P'(0) stands for P(0): the response to a unit rate
     m_i(t+1) = e^z m_i(t) + f_1 F_t + f_2 (F_{t+1} - F_t) + f_3 (u_{t+1} - u_t)^2,    x = sum_i r_i m_i,    z = p_i h
     f_1 = phi_1(z),   f_2 = phi_2(z),   f_3 = 2 phi_3(z) - phi_2(z),    phi_k(z) = sum_j z^j / (j + k)!
 
@@ -30,10 +31,12 @@ _TERMS = 24
 
 
 def _factors(logs: np.ndarray) -> list[np.ndarray]:
-    """Return the ascending coefficients of the quadratic factors, and of the linear factor if the order is odd."""
+    """Return the ascending coefficients of the quadratic factors, then of the linear ones: s + e^r, and s of -inf."""
+    if len(logs) and logs[-1] == -np.inf:
+        return [*_factors(logs[:-1]), np.array([0.0, 1.0])]
     sizes = np.exp(logs)
     pairs = [np.array([sizes[k + 1], sizes[k], 1.0]) for k in range(0, len(logs) - 1, 2)]
-    return pairs + [np.array([sizes[-1], 1.0])] * (len(logs) % 2)
+    return pairs + [np.array([size, 1.0]) for size in sizes[2 * len(pairs) :]]
 
 
 def _product(factors) -> np.ndarray:
@@ -47,12 +50,12 @@ def polynomial(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n+1"]:
 
 def polynomial_slopes(logs: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n+1 n"]:
     """Return the derivatives of the polynomial's coefficients by the logarithms of the factors', shape (n + 1, n)."""
-    factors, slopes = _factors(logs), np.zeros((len(logs) + 1, len(logs)))
+    factors, slopes, column = _factors(logs), np.zeros((len(logs) + 1, len(logs))), 0
     for k, factor in enumerate(factors):
         others = _product(factors[:k] + factors[k + 1 :])
-        for power in range(len(factor) - 1):  # powers ascend, but logs hold the highest power first
-            column = 2 * k + len(factor) - 2 - power
+        for power in range(len(factor) - 2, -1, -1):  # powers ascend, but logs hold the highest power first
             slopes[power : power + len(others), column] = factor[power] * others
+            column += 1
     return slopes
 
 
@@ -82,14 +85,14 @@ def poles(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, " n"]:
     return np.array(roots)
 
 
-def no_faster(logs: Float[np.ndarray, " n"], fastest: float) -> Float[np.ndarray, " n"]:
-    """Slow poles beyond `fastest` down to it; return the logarithms of the polynomial factors' coefficients.
+def bounded(logs: Float[np.ndarray, " n"], slowest: float, fastest: float) -> Float[np.ndarray, " n"]:
+    """Move poles to within these sizes; return the logarithms of the polynomial factors' coefficients.
 
     Clipping the coefficients instead would move all poles.
     """
     known = poles(logs)
-    size = np.abs(known)
-    return logs_from_roots(known * np.minimum(fastest / size, 1.0)) if (size > fastest).any() else logs
+    factor = np.clip(np.abs(known), slowest, fastest) / np.abs(known)
+    return logs if (factor == 1).all() else logs_from_roots(known * factor)
 
 
 def _phi(z: complex, k: int) -> complex:
@@ -108,13 +111,14 @@ def _phi(z: complex, k: int) -> complex:
 
 def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
     """Return the derivatives of the poles by the logarithms of the polynomial factors' coefficients, shape (n, n)."""
-    known, slopes = poles(logs), np.zeros((len(logs), len(logs)), complex)
-    for k, factor in enumerate(_factors(logs)):
-        for i in range(2 * k, 2 * k + len(factor) - 1):
-            if len(factor) == 2:
-                slopes[i, i] = known[i]
-                continue
-            slopes[i, 2 * k : 2 * k + 2] = -np.array([factor[1] * known[i], factor[0]]) / (2 * known[i] + factor[1])
+    known, slopes, i = poles(logs), np.zeros((len(logs), len(logs)), complex), 0
+    for factor in _factors(logs):
+        if len(factor) == 2:
+            slopes[i, i] = known[i]
+        else:
+            b, two = factor[1], slice(i, i + 2)
+            slopes[two, two] = [-np.array([b * p, factor[0]]) / (2 * p + b) for p in known[two]]
+        i += len(factor) - 1
     return slopes
 
 
@@ -147,7 +151,7 @@ def respond(
     whole, part = _split(late, len(drive))
     for pole in z[np.imag(z) >= 0]:
         mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
-        response[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z) * mode)
+        response[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z, step) * mode)
     return response + level
 
 
@@ -177,10 +181,11 @@ def respond_with_slopes(
         slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)  # m'(t+1) at the head of the file
         slope = _later(slope + part * mode, pole, part, rows, whole, 1)
         mode = _later(mode, pole, part, rows, whole)
-        relative = 1 / z  # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum
+        # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum; a pole at 0 does not move
+        relative = 1 / np.where(z, z, 1)
         relative[np.arange(len(z)) != i] += 1 / (pole - others)
         relative[i] -= (1 / (pole - others)).sum()
-        residue = _residue(pole, z)
+        residue = _residue(pole, z, step)
         of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
         of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
         for series, factors in ((mode, of_mode), (slope, of_slope)):
@@ -192,7 +197,7 @@ def respond_with_slopes(
     if len(z) == 1:  # for order 1 the force itself acts on the rate
         rows = np.column_stack([rows, rows[:, -1]])
         force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
-        runs[-1, whole:] -= np.real(z[0]) / step * force[: len(drive) - whole]
+        runs[-1, whole:] += _residue(z[0], z, step) / step * force[: len(drive) - whole]
     return runs[0] + level, runs[1:-1], runs[-1]
 
 
@@ -215,7 +220,7 @@ def bounded_response(
         mode, decay = _filtered(_weights(stable)[0, :2] @ rows, stable), powers(stable, len(force))
         if back:
             mode, decay = mode[::-1], decay[::-1]
-        response += (2 if pole.imag else 1) * np.real(_residue(pole, poles) * mode)
+        response += (2 if pole.imag else 1) * np.real(_residue(pole, poles, 1.0) * mode)
         free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
     return response, np.stack(free, 1)
 
@@ -231,8 +236,8 @@ def _split(late: float, samples: int) -> tuple[int, float]:
     return whole, max(whole - late, 0.0)
 
 
-def _residue(pole: complex, z: np.ndarray) -> complex:
-    residue = complex(np.prod(-z) / np.prod(pole - z[z != pole]))
+def _residue(pole: complex, z: np.ndarray, step: float) -> complex:
+    residue = complex(np.prod(np.where(z, -z, step)) / np.prod(pole - z[z != pole]))
     return residue if pole.imag else residue.real
 
 

@@ -24,7 +24,7 @@ from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_c
 
 _BLOCKS, _IN_A_ROW = 64, 4
 _BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
-_INTEGRATES = 0.1  # rad in the longest record
+_UNSEEN = 1e-6  # rad in the longest record: the pole that stands for one at 0, where programs divide by a_0
 _KNOWN = 3.0  # largest standard error of a logarithm; unmeasured poles have errors of hundreds
 
 
@@ -45,13 +45,14 @@ class OrderFit(Shown):
         offset, polarity: sensor offset (m) and direction (+1 or -1).
         converged: the least squares met its tolerance.
         poles_known: converged, and the logarithm of every pole is known to +-3 (a strong nonlinearity inflates the
-            errors of a good linear fit). The pole that makes it `static`, or by which it `integrates`, may be unknown.
-            No pole lies at the upper bound.
+            errors of a good linear fit). The pole that makes it `static` may be unknown. No pole lies at the upper
+            bound.
         identifiable: its poles are known, and every coefficient is larger than its standard error, except the one that
             a `static` or integrating plant does not show.
         static: order 1, with a pole too fast for the sampling rate.
-        integrates: the slowest pole turns less than 0.1 rad in the longest record: a plant without a spring.
+        integrates: one pole is 0: a plant without a spring.
         delay, delay_stderr: of the input in s, if one was fitted.
+        input_offset: constant, added to the input of a plant without a spring.
     """
 
     order: int
@@ -74,29 +75,31 @@ class OrderFit(Shown):
     integrates: bool = False
     delay: float = 0.0
     delay_stderr: float = 0.0
+    input_offset: float = 0.0
 
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
     structure, params = candidate.structure, candidate.params
-    n, poles = structure.order, poles_of(params, structure)
+    n, poles = structure.moved, poles_of(params, structure)
     solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
     residual = np.concatenate(solved.residuals) * problem.scale
     coefficients, jacobian = _physical(params, float(solved.gains[0]), structure, problem)
-    main = spread[: structure.order + 1, : structure.order + 1]
+    main = spread[: n + 1, : n + 1]
     of_coefficients = jacobian @ main @ jacobian.T
     stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
-    determined, static, slow = _determined(poles, spread, problem)
+    stderr[: structure.integrates] = coefficients[0]
+    determined, static = _determined(poles, spread, problem)
     known = candidate.converged and determined
-    hidden = [0] * slow + [1] * static
+    hidden = [0] * structure.integrates + [1] * static
     upper = np.flatnonzero(np.imag(poles) >= 0)
     upper = upper[np.argsort(np.abs(poles[upper]))]
-    pairs, size = poles[upper], np.abs(poles[upper])
+    size, angle = np.abs(poles[upper]), np.angle(poles[upper])  # of a pole at -0: pi
     # d |p| = Re(p* dp) / |p|
-    rates = np.real(np.conj(pairs / size)[:, None] * pole_slopes(params[:n])[upper])
+    rates = np.real(np.exp(-1j * angle)[:, None] * pole_slopes(structure.logs(params))[upper, :n])
     delay = float(np.exp(params[-1])) if structure.delayed else 0.0
     return OrderFit(
-        order=n,
+        order=structure.order,
         hold=structure.hold,
         coefficients=coefficients,
         stderr=stderr,
@@ -105,7 +108,7 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         rms=float(np.sqrt((residual**2).sum() / problem.samples)),
         heldout=100 * candidate.heldout.score,
         natural_hz=size / (2 * np.pi),
-        damping=-np.real(pairs) / size,
+        damping=-np.cos(angle),
         natural_stderr=np.sqrt(np.clip(np.diag(rates @ main[:n, :n] @ rates.T), 0, None)) / (2 * np.pi),
         offset=zero_of(problem.main, solved.gains, problem),
         polarity=float(np.sign(solved.gains[0]) or 1.0),
@@ -113,9 +116,10 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         poles_known=known,
         identifiable=known and bool(np.delete(stderr < np.abs(coefficients), hidden).all()),
         static=static,
-        integrates=slow,
+        integrates=structure.integrates,
         delay=delay,
         delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if structure.delayed else 0.0,
+        input_offset=structure.offset(params),
     )
 
 
@@ -124,15 +128,13 @@ def identifiable(params: np.ndarray, structure: Structure, problem: Problem, con
     return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
 
 
-def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool, bool]:
-    """Return three answers: are the poles determined, is the plant static, does the plant integrate its input."""
-    known = np.sqrt(np.clip(np.diag(spread), 0, None))[: len(poles)]
-    open_ones = int((known >= _KNOWN).sum())
-    fast = bool(len(poles) == 1 and (open_ones or np.abs(poles).max() > _BEYOND / problem.fine))
-    slow = bool(np.abs(poles).min() * problem.seconds < _INTEGRATES)
-    bounded = bool(np.abs(poles).max() > 0.97 * FASTEST / problem.fine)
-    static = fast and not slow
-    return bool(static or open_ones <= slow and not bounded), static, slow
+def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool]:
+    """Return two answers: are the poles determined, is the plant static."""
+    errors, fastest = np.sqrt(np.clip(np.diag(spread), 0, None)), np.abs(poles).max()
+    is_open = bool((errors[: np.count_nonzero(poles)] >= _KNOWN).any())
+    least = 1 / problem.seconds if is_open else _BEYOND / problem.fine
+    static = bool(len(poles) == 1 and fastest > least)
+    return static or not is_open and bool(fastest <= 0.97 * FASTEST / problem.fine), static
 
 
 def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
@@ -143,17 +145,17 @@ def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
 
 def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
     """Return the coefficients of sum a_i x^(i) = F in physical units, and their derivatives by logarithms and gain."""
-    logs = params[: structure.order]
-    poly, slopes = polynomial(logs), polynomial_slopes(logs)
-    a = poly / poly[0] / (abs(gain) * problem.scale)
-    # d log a_i = d log c_i - d log c_0 - d log |g|
-    relative = np.concatenate([slopes / poly[:, None] - slopes[0] / poly[0], np.full((len(poly), 1), -1 / gain)], 1)
-    return a, a[:, None] * relative
+    logs, first = structure.logs(params), int(structure.integrates)
+    logs = np.maximum(logs, np.log(_UNSEEN / problem.seconds)) if first else logs
+    poly, slopes = polynomial(logs), polynomial_slopes(logs)[:, : structure.moved]
+    unit = poly[first] * abs(gain) * problem.scale
+    a = poly / unit
+    return a, np.column_stack([(slopes - np.outer(poly, slopes[first] / poly[first])) / unit, -a / gain])
 
 
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
     """Return the covariance of (log pole coefficients, gain, fitted sensor offsets, log delay); see the file's head."""
-    n, (solved, slopes) = structure.order, jacobians(params, structure, problem)
+    n, (solved, slopes) = structure.moved, jacobians(params, structure, problem)
     linear = 1 + problem.free_zeros
     order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
     size = len(order)

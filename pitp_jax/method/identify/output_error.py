@@ -23,7 +23,7 @@ from ..model.model import Hold
 from ..signal.initial_state import Beginning, from_known
 from ..signal.preprocess import force_band
 from ..signal.record import Record
-from .linear_ode import coast, no_faster, pole_slopes, poles, powers, respond, respond_with_slopes
+from .linear_ode import bounded, coast, pole_slopes, poles, powers, respond, respond_with_slopes
 
 _RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
 _SLOWEST = 0.01  # rad a record: the records cannot distinguish a slower pole from an integrator
@@ -32,16 +32,34 @@ FASTEST = 3.0  # rad a sample: these samples cannot show a faster pole
 
 @dataclass(frozen=True)
 class Structure:
-    """A candidate's structure: the order, the hold of the input between samples, and whether it has a delay."""
+    """A candidate's structure: the order, the hold of the input between samples, and whether it has a delay.
+
+    `integrates`: one pole is 0 (a plant without a spring). Such a plant integrates a constant offset of its input, so
+    that is fitted too; a spring would turn it into an offset of the sensor.
+    """
 
     order: int
     hold: Hold = "foh"
     delayed: bool = False
+    integrates: bool = False
+
+    @property
+    def moved(self) -> int:
+        """Return the number of poles that are fitted."""
+        return self.order - self.integrates
 
     @property
     def complexity(self) -> int:
-        """Return the number of poles and delays, which the held-out error must justify."""
-        return self.order + self.delayed
+        """Return the number of fitted poles and delays, which the held-out error must justify."""
+        return self.moved + self.delayed
+
+    def logs(self, params: Float[np.ndarray, " parameters"]) -> Float[np.ndarray, " order"]:
+        """Return the logarithms of the pole coefficients, -inf for a pole at 0."""
+        return np.append(params[: self.moved], [-np.inf] * self.integrates)
+
+    def offset(self, params: Float[np.ndarray, " parameters"]) -> float:
+        """Return the constant offset of the input, V."""
+        return float(params[self.moved]) if self.integrates else 0.0
 
 
 @dataclass(frozen=True)
@@ -90,8 +108,8 @@ class Problem:
 
     def upper(self, structure: Structure) -> Float[np.ndarray, " parameters"]:
         """Return upper bounds of the log parameters: poles within the sampled band, delay up to a quarter record."""
-        fastest, n = np.log(FASTEST / self.fine), structure.order  # block means can hide no pole that acts as a lag
-        bounds = [np.log(2) + fastest, 2 * fastest] * (n // 2) + [fastest] * (n % 2)
+        fastest, n = np.log(FASTEST / self.fine), structure.moved  # block means can hide no pole that acts as a lag
+        bounds = [np.log(2) + fastest, 2 * fastest] * (n // 2) + [fastest] * (n % 2) + [np.inf] * structure.integrates
         return np.array(bounds + [np.log(self.seconds / 4)] * structure.delayed)
 
 
@@ -142,19 +160,22 @@ def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequenc
 
 def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " poles"]:
     """Return the fitted poles, rad/s."""
-    return poles(params[: structure.order])
+    return poles(structure.logs(params))
 
 
 def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> Float[np.ndarray, " time"]:
     """Simulate the response of record k to the input, with unit static gain, shape (T,)."""
-    return respond(params[: structure.order], problem.drive[k], **_how(params, structure, problem, k))
+    drive = problem.drive[k] + structure.offset(params)
+    return respond(structure.logs(params), drive, **_how(params, structure, problem, k))
 
 
 def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
     """Simulate the response of record k, shape (T,), and its derivatives by the parameters, (parameters, T)."""
-    how = _how(params, structure, problem, k)
-    run, slopes, rate = respond_with_slopes(params[: structure.order], problem.drive[k], **how)
-    return run, np.vstack([slopes, -np.exp(params[-1]) * rate]) if structure.delayed else slopes
+    how, logs, drive = _how(params, structure, problem, k), structure.logs(params), problem.drive[k]
+    run, slopes, rate = respond_with_slopes(logs, drive + structure.offset(params), **how)
+    rows = [slopes[: structure.moved]]
+    rows += [respond(logs, np.ones_like(drive), **how)] if structure.integrates else []
+    return run, np.vstack([*rows, -np.exp(params[-1]) * rate] if structure.delayed else rows)
 
 
 def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
@@ -162,7 +183,7 @@ def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> 
     late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
     if problem.fine < problem.dt:  # block means are smooth; of a held input they are half a fine sample early
         late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
-    settled = problem.beginnings[k].begins != "rest"
+    settled = problem.beginnings[k].begins != "rest" and not structure.integrates  # without a spring nothing settles
     return {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
 
 
@@ -171,21 +192,21 @@ def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: i
     samples = len(problem.drive[k])
     if problem.beginnings[k].begins != "moving":
         return np.zeros((samples, 0)), np.zeros(0, bool)
-    return coast(params[: structure.order], samples, step=problem.dt)
+    return coast(structure.logs(params), samples, step=problem.dt)
 
 
 def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
     """Return derivatives of record k's free response (amplitudes `own`) by the parameters, shape (parameters, T)."""
     time = np.arange(len(problem.drive[k])) * problem.dt
     slopes = np.zeros((len(params), len(time)))
-    at, moves = 0, pole_slopes(params[: structure.order])
+    at, moves = 0, pole_slopes(structure.logs(params))[:, : structure.moved]
     for pole, move in zip(poles_of(params, structure), moves, strict=True):
         if pole.imag < 0:
             continue
         # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), whose derivative by p is t times as large
         size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
         at += 2 if pole.imag else 1
-        slopes[: structure.order] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
+        slopes[: structure.moved] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
     return slopes
 
 
@@ -278,22 +299,14 @@ def least_squares(
 ) -> tuple[np.ndarray, float, bool]:
     """Fit the output error from initial parameters; return parameters, mean square residual, and convergence."""
     upper = problem.upper(structure)
-    params = np.append(no_faster(params[: structure.order], 0.99 * FASTEST / problem.fine), params[structure.order :])
+    n = structure.moved
+    params = np.append(bounded(params[:n], 0.0, 0.99 * FASTEST / problem.fine), params[n:])
     params, converged = minimise(lambda p: normal_equations(p, structure, problem), params, upper, most, least)
-    params = _not_slower(params, structure, _SLOWEST / problem.seconds)
+    # an integrating pole would otherwise drift to zero
+    params = np.append(bounded(params[:n], _SLOWEST / problem.seconds, np.inf), params[n:])
     rows = solve(params, structure, problem).rows
     cost = float(rows @ rows) / problem.samples
     return params, cost if np.isfinite(cost) else np.inf, converged
-
-
-def _not_slower(params: np.ndarray, structure: Structure, slowest: float) -> np.ndarray:
-    """Raise poles slower than `slowest` (rad/s) to it: an integrating pole would otherwise drift to zero."""
-    params = params.copy()
-    for k in range(0, structure.order - 1, 2):
-        params[k + 1] = max(params[k + 1], params[k] + np.log(slowest))
-    if structure.order % 2:
-        params[structure.order - 1] = max(params[structure.order - 1], np.log(slowest))
-    return params
 
 
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:

@@ -53,7 +53,7 @@ class ResidualTest:
 
 def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
     """Correlate the residual of all records with itself and with the input (V^2 or V), over lags in time."""
-    period = 2 * np.pi / float(np.abs(poles_of(params, structure)).min())
+    period = 2 * np.pi / max(float(np.abs(poles_of(params, structure)).min()), 1 / problem.seconds)
     shortest = min(len(d) for d in problem.drive)
     spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
     far = spacing * _LAGS

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from ..signal.reduced import means
-from .linear_ode import logs_from_roots, no_faster, poles
+from .linear_ode import bounded, logs_from_roots, poles
 from .output_error import FASTEST, Problem, Structure, solve
 
 _SIZES = (1, 4, 16)
@@ -24,12 +24,16 @@ _DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
 
 
 def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray], most: int) -> list[np.ndarray]:
-    """Return the best few initial parameters among these sets of poles (rad/s), with several delays if fitted."""
-    scored = []
+    """Return the best few initial parameters among these sets of poles (rad/s), with several delays if fitted.
+
+    Without a spring, the input's offset at first balances its mean: the motion of a recording is bounded.
+    """
+    scored, mean = [], float(np.mean(np.concatenate(problem.drive)))
     for some in roots:
-        if len(some) != structure.order or not np.isfinite(some).all():
+        if len(some) != structure.moved or not np.isfinite(some).all():
             continue
-        logs = no_faster(logs_from_roots(some), 0.99 * FASTEST / problem.fine)
+        logs = bounded(logs_from_roots(some), 0.0, 0.99 * FASTEST / problem.fine)
+        logs = np.append(logs, [-mean] * structure.integrates)
         for delay in _DELAYS if structure.delayed else (None,):
             params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
             scored.append((params, cost_of(params, structure, problem)))

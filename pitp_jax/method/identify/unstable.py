@@ -31,8 +31,8 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
     best = None
     for order in _ORDERS:
         for pair in (False, True)[: 1 + (order > 1)]:
-            scored = sorted((_cost(p, pair, problem), tuple(p)) for p in _starts(order, pair, problem))
-            fit = least_squares(_residual, scored[0][1], args=(pair, problem), x_scale=0.5, max_nfev=20)
+            start = min(_starts(order, pair, problem), key=lambda p: float(np.sum(_residual(p, pair, problem) ** 2)))
+            fit = least_squares(_residual, start, args=(pair, problem), x_scale=0.5, max_nfev=20)
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
             # a pole above the input's band means an output ahead of its input; one that hardly grows is drift
             seen = pole.real * problem.seconds > _GROWS and abs(pole) < problem.omega
@@ -67,8 +67,3 @@ def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
         rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
         parts.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
     return np.concatenate(parts) / np.sqrt(problem.samples)
-
-
-def _cost(params: np.ndarray, pair: bool, problem: Problem) -> float:
-    residual = _residual(params, pair, problem)
-    return float(residual @ residual)

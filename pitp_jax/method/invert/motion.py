@@ -10,6 +10,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..model.coordinate import Zero, to_model
+from ..model.dominant import nonzero_poles
 from ..model.drive import ElectrodeLag
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
@@ -96,8 +97,7 @@ def settling(model: Model) -> tuple[float, float]:
     A mode that oscillates needs 5 and 3 periods, any other half a period (3 time constants). A memory counts as at most
     5 periods of the slowest pole, because slow creep excites no oscillation.
     """
-    poles = np.roots(model.physical_coefficients[::-1])
-    poles = poles[np.abs(poles) > 0]
+    poles = nonzero_poles(model.physical_coefficients)
     memory, electrode = model.memory, model.drive
     lags = np.exp(np.asarray(memory.log_tau, float)) if isinstance(memory, (FadingMemory, RingingMemory)) else []
     beside: list[complex] = [-1 / float(tau) for tau in lags]

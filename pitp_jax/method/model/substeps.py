@@ -8,6 +8,8 @@ at the resonance errors add up over 1 / (zeta |z|) steps:   error = |z|^4 / (240
 import numpy as np
 from jaxtyping import Float
 
+from .dominant import nonzero_poles
+
 ACCURACY = 2e-4  # of the range, compared with the exact discretisation
 _LARGEST = 0.25  # |z|: frozen tokens make the decoder of order two, whatever the nominal's poles allow
 _STABLE = 2.0  # |z|, with a margin to 2.78
@@ -17,9 +19,7 @@ _LEAST_DAMPING = 1e-4  # with less, errors add up over more periods than a recor
 
 def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
     """Return the number of Runge-Kutta steps per sample of `dt` (s) for the coefficients a_0 ... a_n."""
-    a = np.nan_to_num(a)
-    poles = np.roots(a[::-1])
-    poles = poles[np.abs(poles) > 0]
+    poles = nonzero_poles(np.nan_to_num(a))
     size = np.abs(poles)
     damping = np.maximum(-poles.real / size, _LEAST_DAMPING)
     accurate = size * dt / np.minimum((240 * damping * ACCURACY) ** 0.25, _LARGEST)

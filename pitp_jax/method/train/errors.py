@@ -157,12 +157,11 @@ def kept(best: Candidate, compare: Judge, nominal: Model) -> tuple[Candidate, li
     )
     where, ratio = f"worse than the nominal model on {lost or 'held-out blocks'}", f"{np.exp(-best.gain):.2g}"
     if not best.gain >= -np.log(_ALIKE):
-        what = "the nominal itself"
         return compare(nominal), [
             f"training failed: the best start is {where}, and over all recordings and held-out blocks its error is "
-            f"{ratio} times the nominal's (geometric mean), so {what} is returned. Run `pitp diagnose` to find the "
-            "missing effect"
-        ], what  # fmt: skip
+            f"{ratio} times the nominal's (geometric mean), so the nominal itself is returned. Run `pitp diagnose` to "
+            "find the missing effect"
+        ], "the nominal itself"  # fmt: skip
     if lost:
         return best, [
             f"the trained model is {where}, and better over all recordings (a geometric mean of {ratio} times its "
