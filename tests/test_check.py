@@ -227,3 +227,24 @@ def test_advice_on_a_resonance_needs_a_resonance():
         found = pitp.check(records)
         assert found.resonance_hz is None and found.coverage is None
         assert not any("resonance" in line for line in found.advice)
+
+
+def test_an_encoder_that_reads_2048_at_rest_is_checked_as_one_that_reads_0():
+    """A servo of 3 Hz in ticks, and in ticks less 2048: the same facts, and the offset is printed."""
+    t, ticks, found = np.arange(2000) / 250, 2 * np.pi / 4096, []
+    for offset in (0.0, 2048 * ticks):
+        records = []
+        for k, hz in enumerate((0.3, 1.0, 2.5)):
+            u = 0.3 * np.sin(2 * np.pi * hz * np.clip(t - 0.5, 0, None))
+            y = lsim(([1.0], [1 / 355.0, 0.05, 1.0]), u, t)[1]
+            u, y = (np.round(v / ticks) * ticks + offset for v in (u, y))
+            records.append(pitp.Record(f"r{k}", t, u, y, voltage_unit="rad", displacement_unit="rad"))
+        found.append(pitp.check(records))
+    plain, raw = found
+    assert plain.input_map == raw.input_map == "linear"
+    for name, row in plain.records.items():
+        other = raw.records[name]
+        assert (row.begins, row.direction, row.excitation) == (other.begins, other.direction, other.excitation)
+        assert other.begins == "rest" and other.noise == pytest.approx(row.noise, rel=1e-3)
+        assert other.zero - row.zero == pytest.approx(np.pi, rel=1e-3)
+    assert "start at a command of 3.142 rad" in raw.advice[0] and raw.advice[1:] == plain.advice

@@ -176,6 +176,24 @@ def test_a_constant_offset_of_the_output_is_printed_and_is_no_difference():
     assert np.nanmax(np.abs(drawn.lines[1].get_ydata())) < 2.0
 
 
+@pytest.mark.parametrize("constant", [0.0, 3.14159])
+def test_commands_are_told_apart_beside_a_constant_offset(constant):
+    """A robot that recorded the larger of two commands, or the upper of two centres, in registers or without."""
+    simulated = machine()
+    larger = [replace(r, name="larger", voltage=1.06 * r.voltage, displacement=1.06 * r.displacement)
+              for r in simulated[:1]]  # fmt: skip
+    upper = [replace(r, name="upper", voltage=r.voltage + 0.4, displacement=r.displacement + 0.4)
+             for r in simulated[1:2]]  # fmt: skip
+    robot = [
+        pitp.Record(str(k), r.time, r.voltage + constant, 0.9 * r.displacement + constant, displacement_unit="m")
+        for k, r in enumerate([*larger, *upper, simulated[2]])
+    ]
+    found = pair_records(robot, [*simulated, *larger, *upper], shared="second")
+    pairs = {(p.first.name, p.second.name) for p in found.pairs}
+    assert pairs == {("0", "larger"), ("1", "upper"), ("2", "fast"), ("0", "chirp"), ("1", "slow")}  # the others alike
+    assert found.offsets[0] == pytest.approx(constant, abs=1e-9)
+
+
 def test_two_sets_of_records_differ_by_size_and_lag_that_were_made():
     found = pitp.compare(machine(), machine(late=0.02, gain=0.9, clock=5.0), names=("sim", "robot"))
     rows: dict[str, Any] = {r.what: r for r in found.rows}

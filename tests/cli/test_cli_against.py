@@ -22,7 +22,7 @@ def demo(tmp_path_factory):
 @pytest.mark.slow
 def test_pages_figures_and_numbers_are_written(demo, call, tmp_path, monkeypatch):
     """The robot's file unit in the corrections, the clock's offset on standard output, one entry a parameter."""
-    monkeypatch.setattr(entry, "linear_model_of", lambda r: pitp.identify(r, order=2, input_map="linear"))
+    monkeypatch.setattr(entry, "identify", lambda r, **_: pitp.identify(r, order=2, input_map="linear"))
     monkeypatch.setattr(entry, "diagnose_model", lambda model, records, **_: diagnosis_cases.explained(model))
     argv = ["diagnose", demo / "robot", "--against", demo / "sim", "--position-gain", "20"]
     code, text, err = call(*argv, "--out", tmp_path / "d", "--json", tmp_path / "j")

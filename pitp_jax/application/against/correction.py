@@ -33,8 +33,7 @@ def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.n
         played = [replace(r, voltage=_input(nominal, r.voltage, f)) for r, f in zip(records, forces, strict=True)]
         for k, run in enumerate(predict(nominal, played)):
             error = run.direction * (records[k].displacement - run.displacement)
-            error = _filled(np.where(np.isfinite(run.displacement), error, np.nan))
-            forces[k] = forces[k] + _regularised_inverse(nominal, error, records[k].dt)
+            forces[k] = forces[k] + _regularised_inverse(nominal, replace(records[k], displacement=error))
     return [_input(nominal, r.voltage, f) - r.voltage for r, f in zip(records, forces, strict=True)]
 
 
@@ -45,18 +44,12 @@ def _input(model: Model | Fitted, voltage: np.ndarray, force: np.ndarray) -> np.
     return np.where(voltage < 0, -1.0, 1.0) * np.sqrt(np.maximum(voltage**2 + force, 0.0))
 
 
-def _filled(values: np.ndarray) -> np.ndarray:
-    """Interpolate missing samples; return 0 if all are missing."""
-    seen, at = np.isfinite(values), np.arange(len(values))
-    return np.interp(at, at[seen], values[seen]) if seen.any() else np.zeros(len(values))
-
-
-def _regularised_inverse(model: Model | Fitted, error: np.ndarray, dt: float) -> np.ndarray:
+def _regularised_inverse(model: Model | Fitted, error: Record) -> np.ndarray:
     """Return the input (V^2, or V if linear) that causes an error signal, by a regularised inverse in frequency."""
     a = model.physical_coefficients
-    mirrored = np.concatenate([error, error[::-1]])
-    s = 2j * np.pi * np.fft.rfftfreq(len(mirrored), dt)
+    mirrored = np.concatenate([error.filled, error.filled[::-1]])
+    s = 2j * np.pi * np.fft.rfftfreq(len(mirrored), error.dt)
     late = sum(float(v) for e in model.effects if e.name == "delay" for p, v in e.numbers() if p.name == "time")
     gain = np.exp(-s * late) / np.polyval(a[::-1], s)
     inverse = np.conj(gain) / (np.abs(gain) ** 2 + _EPSILON / a[0] ** 2)
-    return np.fft.irfft(np.fft.rfft(mirrored) * inverse, len(mirrored))[: len(error)]
+    return np.fft.irfft(np.fft.rfft(mirrored) * inverse, len(mirrored))[: error.samples]

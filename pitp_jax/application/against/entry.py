@@ -1,35 +1,31 @@
 """Diagnose recordings against a model, or against recordings of a simulator."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from jax.sharding import Mesh
 
 from ...common.errors import BadInput
 from ...common.metrics import e_rms_percent
-from ...common.units import base_unit
+from ...method.diagnose import rules
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.diagnosis import diagnose as diagnose_model
-from ...method.diagnose.joint import parameters
-from ...method.identify.identification import Identification, identify
+from ...method.diagnose.joint import Answer, Parameter, parameters
+from ...method.identify.identification import identify
 from ...method.model.fitted import Fitted
-from ...method.model.lineage import descended
 from ...method.model.model import Model
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from ...method.signal.sets import check_records
 from ...method.simulate.prediction import predict
-from ..compare.pairing import Pairing, pair_records
-from ..compare.records import linear_model_of
+from ..compare.pairing import pair_records
 from .correction import corrections
 from .result import SimToReal
 
-_OWN = 2.0  # % of range: largest error of a lower order in the place of the simulator
-_HIDES = 0.5  # of the gap's rms: a larger error of the simulator's model could be the gap
-_OFFSET = 0.1  # of the range: a smaller constant difference is left to each recording's sensor offset
-_PART = 0.1  # of the gap's rms, below which the simulator's model is not the cause: 1 % of the energy
+_WEIGHT = "softening weight"
+_WORSE = 1.1  # times the error with a higher order: what a lower one with its effects may leave
 
 
 @overload
@@ -100,98 +96,100 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     if not pairs.pairs:
         name, why = pairs.first_alone[0]
         raise BadInput(f"no recording of the simulator has the same command as one of the robot; {name}: {why}")
-    offsets = constant_offsets(pairs)
-    if any(offsets):
-        real = [replace(r, voltage=r.voltage - offsets[0], displacement=r.displacement - offsets[1]) for r in real]
-        pairs = pair_records(real, simulated, shared="second")
+    command, output = pairs.offsets
+    real = [replace(r, voltage=r.voltage - command, displacement=r.displacement - output) for r in real]
     say = options["progress"]
     say("identifying the simulator")
-    identified, own, gap = simplest_model(simulated, real)
-    nominal = identified.model
-    simulator = None
-    if own > _PART * gap:
-        say("diagnosing the simulator's own recordings")
-        simulator = diagnose_model(nominal, simulated, refit_nominal=False, **options)
-        if simulator.interrupted:  # there is no result on the robot yet
-            raise KeyboardInterrupt
-        nominal = simulator.model
-        own = simulator.gap.after
+    noise = float(np.median([noise_std(r.displacement) for r in real]))
+    nominal, simulator, own = model_of_simulator(simulated, noise, options)
     say("diagnosing the robot's recordings")
-    robot = diagnose_model(nominal, real, refit_nominal=False, **options)
-    robot_gap = max(robot.gap.before, 1e-12)
-    if robot.verdict == "no_gap" and _without_noise(own, simulated) > _HIDES * robot_gap:
+    # at the robot's rate, because a held command stays for one sample of its own log
+    played = Fitted(nominal.model, nominal.origin, domain=replace(nominal.domain, dt=real[0].dt))
+    robot = diagnose_model(played, real, refit_nominal=False, **options)
+    if robot.verdict == "no_gap" and own:
         robot = replace(robot, verdict="unknown", reason=(
             f"The model of the simulator misses the simulator's own recordings by {own:.2g} % of range, and the "
-            f"difference to the robot is {robot_gap:.2g} %: it may hide in that error."
+            f"difference to the robot is {robot.gap.before:.2g} %: it may hide in that error."
         ))  # fmt: skip
-    share = min((own / robot_gap) ** 2, 1.0)
     say("correction signals")
     return SimToReal(
-        robot=robot, simulator=simulator, identification=identified, nominal=nominal, pairs=pairs,
-        parameters=parameters(nominal, robot, real, position_gain),
-        simulator_share=(share, 0.5 * share, min(2.0 * share, 1.0)),
-        records=tuple(real), corrections=tuple(corrections(nominal, real)), offsets=offsets,
+        robot=robot, simulator=simulator, nominal=nominal, own=own, pairs=pairs,
+        parameters=parameters_of(nominal, robot, real, position_gain),
+        records=tuple(real), corrections=tuple(corrections(nominal, real)),
     )  # fmt: skip
 
 
-def simplest_model(simulated: Sequence[Record], real: Sequence[Record]) -> tuple[Identification, float, float]:
-    """Identify the simulator with the lowest order whose error is small: a tenth of its distance to the robot, or 2 %.
+def model_of_simulator(
+    simulated: Sequence[Record], noise: float, options: Mapping[str, Any]
+) -> tuple[Fitted, Diagnosis | None, float]:
+    """Identify the simulator with its own effects, by the lowest order that is not clearly worse.
 
-    A simulator has no noise to limit the order. Without this rule, an integrator's step and its hold became a third
-    pole, and no parameter belonged to the joint.
+    Effects come before order, because a higher order imitates them, and its coefficients then belong to no joint. The
+    search sees the simulator through the robot's sensor: what that cannot show counts as none.
+
+    Args:
+        simulated: the simulator's recordings.
+        noise: of the robot's sensor, base unit.
+        options: of the diagnosis.
 
     Returns:
-        the identification, and the errors of its free runs on the simulator's and the robot's records, % of range.
+        the model, the diagnosis that added effects to it (None if it needs none), and the error of its free runs, % of
+        range: 0 where the robot's sensor hides it.
     """
-    best = linear_model_of(simulated)
-    own, gap = _error(best.model, simulated), max(_error(best.model, real), 1e-12)
-    most = min(_PART * gap, _OWN)
-    enough = [o.order for o in best.orders if own * o.rms <= most * best.chosen.rms]
-    order = min(enough, default=best.chosen.order)
-    if order >= best.chosen.order:
-        return best, own, gap
-    lower = identify(simulated, order=order, input_map=best.model.input_map.name, learn=("delay",))
-    return lower, _error(lower.model, simulated), max(_error(lower.model, real), 1e-12)
+    best = identify(simulated)
+    hidden = 100 * np.sqrt(rules.OWN**2 - 1) * noise / np.mean([r.span for r in simulated])
+    draw = np.random.default_rng(0).standard_normal
+    seen = [replace(r, displacement=r.displacement + noise * draw(r.samples)) for r in simulated]
+    tried: list[tuple[Fitted, Diagnosis | None, float]] = []
+    lower = [o.order for o in best.orders if o.poles_known and 2 <= o.order < best.chosen.order]
+    for order in (*lower[:1], best.chosen.order):
+        model, own = best.model, None
+        if order < best.chosen.order:
+            model = identify(simulated, order=order, input_map=model.input_map.name).model
+        if _error(model, simulated) > hidden:
+            options["progress"](f"diagnosing the simulator's own recordings at order {order}")
+            own = diagnose_model(model, seen, refit_nominal=True, **options)
+            model = own.model
+            if own.interrupted:  # there is no result on the robot yet
+                raise KeyboardInterrupt
+        error = _error(model, simulated)
+        if error <= hidden:
+            return model, own, 0.0
+        tried.append((model, own, error))
+    return next(t for t in tried if t[2] <= _WORSE * min(error for *_, error in tried))
 
 
-def constant_offsets(pairs: Pairing) -> tuple[float, float]:
-    """Return the constants by which the robot's commands and outputs exceed the simulator's, base units.
+def parameters_of(
+    nominal: Model | Fitted, robot: Answer, real: Sequence[Record], position_gain: float | None
+) -> tuple[Parameter, ...]:
+    """Return simulator's and robot's parameters under one hypothesis.
 
-    Registers of a servo read 2048 at rest, which is no distance between robot and simulator. Below a tenth of the range
-    an offset is 0. Commands and outputs of one kind have one offset, unless the outputs differ by more.
+    Where another position gain explains the changed coefficients, the robot's torques are multiples of its own gain. A
+    load that both carry is then the same torque in both: a weight that the diagnosis did not change is the simulator's,
+    and the rest of the stiffness is a spring.
     """
-    rows, alike = [], False
-    for p in pairs.pairs:
-        a = p.first
-        if p.correlation > 0 and p.output_sign > 0:
-            off = float(np.nanmedian(a.voltage - p.command())), float(np.nanmedian(a.displacement - p.output()))
-            rows.append((*off, np.ptp(a.voltage), np.nanmax(a.displacement) - np.nanmin(a.displacement)))
-            alike = base_unit(a.voltage_unit) == base_unit(a.displacement_unit)
-    if not rows:
-        return 0.0, 0.0
-    (command, output), (wide, high) = np.median(rows, 0)[:2], np.max(rows, 0)[2:]
-    command = float(command) if abs(command) > _OFFSET * wide else 0.0
-    if alike and command and abs(output - command) < 2 * _OFFSET * high:
-        return command, command
-    return command, float(output) if abs(output) > _OFFSET * high else 0.0
-
-
-def _without_noise(percent: float, records: Sequence[Record]) -> float:
-    """Return an error, % of range, without the noise of these recordings."""
-    noise = [100 * noise_std(r.displacement) / max(r.span, 1e-30) for r in records]
-    return float(np.sqrt(max(percent**2 - np.mean(np.square(noise)), 0.0)))
+    rows = parameters(nominal, robot, real, position_gain)
+    gain = [p for p in rows if p.name == "position gain"]
+    if not gain:
+        return rows
+    own = {p.name: p for p in parameters(nominal, robot, real, gain[0].robot)}
+    weight = next((p for p in rows if p.name == _WEIGHT), None)
+    if weight is not None and all(a.effect != "softening" for a in robot.added):
+        less = own[_WEIGHT].robot - weight.simulator
+        own["stiffness"] = replace(own["stiffness"], robot=own["stiffness"].robot + less)
+        own[_WEIGHT] = replace(weight, robot=weight.simulator)
+    for p in rows[1:]:
+        value, less = own[p.name].robot, p.simulator if np.isfinite(p.simulator) else 0.0
+        words = p.words.removesuffix(", if the position gain is the simulator's")
+        gain.append(replace(p, words=words, robot=value, difference=value - less, stderr=own[p.name].stderr))
+    return tuple(gain)
 
 
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
-    """Return the rms error of simulations, pooled over records, % of range; infinite if one diverges."""
+    """Return the rms error of simulations beyond noise, pooled over records, % of range; infinite if one diverges."""
     squares = []
     for record, run in zip(records, predict(model, records), strict=True):
-        squares.append(
-            np.inf if run.diverged else e_rms_percent(run.displacement, record.displacement, run.scored) ** 2
-        )
+        error = e_rms_percent(run.displacement, record.displacement, run.scored)
+        noise = 100 * noise_std(record.displacement) / max(record.span, 1e-30)
+        squares.append(np.inf if run.diverged else max(error**2 - noise**2, 0.0))
     return float(np.sqrt(np.mean(squares)))
-
-
-def with_lineage(result: SimToReal) -> Fitted:
-    """Return the diagnosed model with the robot's recordings added to its lineage."""
-    return descended(result.model, "diagnose against a simulator", result.records, result.nominal)

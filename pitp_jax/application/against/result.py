@@ -8,11 +8,9 @@ import numpy as np
 from ...common.numbers import number, of_range, shown_unit
 from ...common.page import Page, Section, Table
 from ...common.shown import data_frame
-from ...common.units import from_base
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.joint import Parameter, as_rows
 from ...method.diagnose.words import named
-from ...method.identify.identification import Identification
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
 from ...method.signal.record import Record
@@ -22,7 +20,7 @@ from ..compare.remarks import remarks_on
 if TYPE_CHECKING:
     import pandas as pd
 
-_SEVERAL = 2.0  # % of the output's deviation on held-out blocks: residual of the simulator's linear model
+_SEVERAL = 1.0  # % of range that the simulator's model misses: it may be more than one simulator
 
 
 @dataclass(frozen=True)
@@ -32,27 +30,22 @@ class SimToReal:
     Attributes:
         robot: diagnosis of the robot's records under the simulator's model.
         simulator: diagnosis of the simulator's own records; None if its model's error is not part of the gap.
-        identification: the linear model of the simulator.
-        nominal: that model with the simulator's own effects.
+        nominal: the linear model of the simulator with its own effects.
+        own: error of that model on the simulator's records, % of range; 0 where the robot's sensor would hide it.
         pairs: recordings with the same command, and the offset of their clocks.
         parameters: the simulator's numbers, the robot's, and the difference.
-        simulator_share: fraction of the gap's energy caused by the error of the simulator's model, with its 95 %
-            interval.
-        records: the robot's.
+        records: the robot's, less the offsets of the pairs.
         corrections: added input per recording, base unit.
-        offsets: constants that were subtracted from the robot's commands and outputs, base units.
     """
 
     robot: Diagnosis
     simulator: Diagnosis | None
-    identification: Identification
     nominal: Model | Fitted
+    own: float
     pairs: Pairing
     parameters: tuple[Parameter, ...]
-    simulator_share: tuple[float, float, float]
     records: tuple[Record, ...]
     corrections: tuple[np.ndarray, ...]
-    offsets: tuple[float, float] = (0.0, 0.0)
 
     @property
     def verdict(self) -> str:
@@ -72,27 +65,30 @@ class SimToReal:
     @property
     def budget(self) -> dict[str, Any]:
         """Return the parts of the error by cause, with the part due to the simulator's linear model."""
-        share, low, high = self.simulator_share
-        parts = {k: dict(v) for k, v in (getattr(self.robot, "budget", None) or {}).items()}
+        share = self._share
+        parts = {k: dict(v) for k, v in self.robot.budget.items()}
         rest = share
         for key in (k for k in ("unexplainable", "unnamed") if k in parts):
             taken = min(rest, max(parts[key]["share"], 0.0))
             parts[key]["share"] -= taken
             rest -= taken
-        return parts | {"simulator": {"share": share - rest, "ci95": [low, high]}}
+        return parts | {"simulator": {"share": share - rest, "ci95": [0.5 * share, min(2 * share, 1.0)]}}
+
+    @property
+    def _share(self) -> float:
+        return min((self.own / max(self.robot.gap.before, 1e-12)) ** 2, 1.0)
 
     def lines(self) -> list[str]:
         """Write the parameters that differ, and remarks for the user, one sentence each."""
         changes = []
         for p in self.parameters:
-            if p.difference and (p.certain or "parameters" in getattr(self.robot, "handed_back", ())):
+            if differs(p) and (p.certain or "parameters" in self.robot.handed_back):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
                 error += "" if p.determined else " (these recordings do not determine it)"
                 names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
                 line = f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
                 changes.append(f"{line} ({names})" if names else line)
-        gain, notes = _gain_lines(self.parameters), SimToReal.remarks(self)
-        return [*gain, *changes, *notes[len(gain) :]]
+        return [*changes, *SimToReal.remarks(self)]
 
     def remarks(self) -> list[str]:
         """Write remarks for the user on the parameters, one sentence each."""
@@ -103,22 +99,11 @@ class SimToReal:
                 f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
                 f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
             )
-        if any(getattr(self, "offsets", ())):
-            record, told = self.records[0], []
-            for word, value, unit in zip(
-                ("commands", "outputs"), self.offsets, (record.voltage_unit, record.displacement_unit), strict=True
-            ):
-                told += [f"{number(float(from_base(value, unit)), 4)} {unit} from the {word}"] if value else []
-            texts.append(f"Subtracted as the offset of the robot's log: {' and '.join(told)}.")
-        if self.simulator_share[0] >= 0.05:
+        if self.own >= _SEVERAL or self._share >= 0.05:
             texts.append(
-                f"{100 * self.simulator_share[0]:.0f} % of the gap is the error of the linear model of the simulator."
-            )
-        missed = self.identification.chosen.heldout
-        if missed >= _SEVERAL:
-            texts.append(
-                f"One linear model leaves {missed:.2g} % of the simulator's recordings unexplained. If they were "
-                "simulated with several loads or gains, put those of each into a folder of its own."
+                f"The model of the simulator misses {self.own:.2g} % of range of the simulator's recordings, which is "
+                f"{100 * self._share:.0f} % of the gap. If they were simulated with several loads or gains, put those "
+                "of each into a folder of its own."
             )
         return [*texts, *remarks_on(self.pairs, "robot", "simulator")]
 
@@ -166,7 +151,7 @@ class SimToReal:
         if any("Kp" in p.unit for p in self.parameters):
             note += " Kp is the gain of the position controller; give --position-gain to get torques."
         header = ("quantity", "simulator", "robot", "difference", "+-", "unit", "MuJoCo", "PhysX, Isaac Lab", "URDF")
-        bold = [bool(p.difference and p.certain) for p in self.parameters]
+        bold = [p.certain and differs(p) for p in self.parameters]
         return Table(header, rows, note, bold, (0, 5, 6, 7, 8))
 
     def summary(self) -> Page:
@@ -194,6 +179,11 @@ class SimToReal:
         more = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
                 "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip
         return self.robot.as_json(csv) | more
+
+
+def differs(p: Parameter) -> bool:
+    """Return whether a parameter differs between simulator and robot by more than two standard errors."""
+    return bool(abs(p.difference) > 2 * (p.stderr or 0.0))
 
 
 def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:

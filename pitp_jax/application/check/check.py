@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from ...common.numbers import number
 from ...common.shown import Shown
 from ...common.units import base_unit, from_base
 from ...files.recordings.plausible import monitor_warning
@@ -147,6 +148,8 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     apart = _apart(records)
     # Only these describe the set: one rate, one kind of output, moving under an input.
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
+    start = _start(used)
+    used = [replace(r, voltage=r.voltage - start) for r in used]
     fitted = fit_set(used) if used else None
     resonance, input_map = (fitted.peak_hz, fitted.input_map) if fitted else (None, "square")
     rows = {r.name: _row(r, own[r.name], fitted) for r in records}
@@ -159,8 +162,20 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     monitor = monitor_warning(used) if used and input_map == "square" else None
     # added to the others, so that one bad file does not hide the good ones
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
-    lines = ([monitor] if monitor else []) + advice
-    return Check(rows | lost, tuple(lines), resonance, input_map, cover, tuple(repeats), tuple(records))
+    lines = [monitor] if monitor else []
+    if start:
+        unit = used[0].voltage_unit
+        lines.append(
+            f"all recordings start at a command of {number(float(from_base(start, unit)), 4)} {unit}; it was "
+            "subtracted as the offset of the log (--input-offset), and `zero` is the reading there"
+        )
+    return Check(rows | lost, (*lines, *advice), resonance, input_map, cover, tuple(repeats), tuple(records))
+
+
+def _start(records: Sequence[Record]) -> float:
+    """Return the position command at which all records start, base unit: an encoder may read 2048 at rest; else 0."""
+    starts = {r.voltage[0] * (base_unit(r.voltage_unit) == base_unit(r.displacement_unit)) for r in records}
+    return float(starts.pop()) if len(starts) == 1 else 0.0
 
 
 def _named(records: Sequence[Record]) -> list[Record]:

@@ -43,11 +43,6 @@ def set_advice(
         lines.append(f"the sensor is reversed in {_some(turned)}; this is taken into account, but check its sign")
     if fitted is None:
         lines.append("no linear model could be fitted, so initial states, sensor offsets and directions are not known")
-    if fitted is not None and fitted.input_map == "linear":
-        lines.append(
-            "a force proportional to the input explains these better than its square; give `identify` and `fit` "
-            "--input-map linear (`diagnose --against` chooses by itself)"
-        )
     lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()
@@ -60,10 +55,8 @@ def set_advice(
     # None: the initial state is not known
     begins = {rows[r.name].begins for r in used} - {None}
     if begins and "rest" not in begins:
-        none, what = (
-            f"0 {used[0].voltage_unit}",
-            "displacement" if base_unit(used[0].displacement_unit) == "m" else "output",
-        )
+        none = f"0 {used[0].voltage_unit}"
+        what = "displacement" if base_unit(used[0].displacement_unit) == "m" else "output"
         lines.append(f"no recording starts at rest at {none}, so the {what} there is not known; start one there")
     lines += _floor(repeats, cycles)
     return lines

@@ -18,7 +18,7 @@ from ...method.identify.frequency_response import frequency_response
 from ...method.identify.linear_ode import coast, logs_from_roots, respond
 from ...method.identify.output_error import build_problem
 from ...method.identify.rational_fit import PEAK, needs_resonance
-from ...method.model.input_map import INPUT_MAPS
+from ...method.model.input_map import INPUT_MAPS, usual_input_map
 from ...method.numerics.coloured_noise import project
 from ...method.signal.excitation_kind import kind
 from ...method.signal.initial_state import Beginning
@@ -85,10 +85,10 @@ class SetFit:
 def fit_set(records: Sequence[Record]) -> SetFit | None:
     """Fit one linear model of order 2 to all moving records; return None if nothing can be fitted.
 
-    The force is the square of the voltage unless a linear one has less than half the residual.
+    The force is taken as the units suggest unless the other input map has less than half the residual.
     """
-    best = None
-    for name in ("square", "linear"):
+    best, usual = None, usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    for name in sorted(INPUT_MAPS, key=lambda name: name != usual):
         fit = _fitted(records, name)
         if fit is not None and (best is None or fit.unexplained < 0.5 * best.unexplained):
             best = fit

@@ -19,7 +19,6 @@ from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
-from ..against.entry import with_lineage
 from ..against.mjcf import write_mjcf
 from ..against.result import SimToReal
 from ..pages.against import figures as figures_beside
@@ -81,7 +80,8 @@ def diagnose(
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
         warn(read_in)
         diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
-        robot, augmented = diagnosis.robot, with_lineage(diagnosis)
+        robot = diagnosis.robot
+        augmented = descended(diagnosis.model, "diagnose against a simulator", read_in, diagnosis.nominal)
     status.close()
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
     written = _write(diagnosis, augmented, read_in[0].voltage_unit, out, json_file, csv)
@@ -129,10 +129,10 @@ def _write(
 
     The result is written first, so a failure or interrupt in a figure or sentence cannot lose it.
     """
-    written: set[str] = set()
-    with staged(folder=out, json_file=json_file, value=diagnosis.as_json(csv)) as stage:
+    written, value = set(), diagnosis.as_json(csv)
+    with staged(folder=out, json_file=json_file, value=value) as stage:
         if out is not None:
-            write_json(stage / JSON, diagnosis.as_json(csv))
+            write_json(stage / JSON, value)
             save(stage / MODEL, augmented)
             _write_next(_robot_of(diagnosis), stage, input_unit)
             written |= _files_in(stage)

@@ -30,13 +30,16 @@ class Alignment:
         correlation: of the two commands where they overlap; negative for a mirrored command.
         offset: clock of the first less clock of the second at the same instant, s.
         size: amplitude of the first over that of the second.
-        misfit: rms difference at that offset, over the standard deviation of the first; after mirroring.
+        misfit: standard deviation of the difference at that offset, over that of the first; after mirroring.
+        shift, spread: mean of that difference, first less second, and the standard deviation of the first (base unit).
     """
 
     correlation: float
     offset: float
     size: float
     misfit: float
+    shift: float = 0.0
+    spread: float = 1.0
 
     @property
     def accepted(self) -> bool:
@@ -123,8 +126,9 @@ def _refined(a: Record, b: Record, coarse: Alignment, sign: int) -> Alignment:
         return _NOTHING
     rho = float(x_ @ y_ / np.sqrt((x_ @ x_) * (y_ @ y_)))
     size = float(np.sqrt((x_ @ x_) / (y_ @ y_)))
-    misfit = float(np.sqrt(np.mean((x - y) ** 2)) / x_.std())
-    return Alignment(sign * max(rho, abs(coarse.correlation)), offset, size, misfit)
+    spread, shift = float(x_.std()), float(x.mean() - y.mean())
+    misfit = float((x_ - y_).std()) / spread
+    return Alignment(sign * max(rho, abs(coarse.correlation)), offset, size, misfit, shift, spread)
 
 
 def _overlap(a: Record, b: Record, offset: float, sign: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -197,16 +197,9 @@ def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, units: Units) -> l
         ("damping ratio", "damping", 1.0, ""),
     )
     for j, (what, name, factor, unit) in enumerate(quantities):
-        a, b = (factor * float(getattr(s, name)[k]) for s in (one, two))
-        if np.isfinite(a) or np.isfinite(b):
-            errors = (_scaled(one.errors[j], a), _scaled(two.errors[j], b))
-            rows.append(measured(f"{what} {at}", _finite(a), _finite(b), unit, errors))
+        values = [factor * float(getattr(s, name)[k]) for s in (one, two)]
+        if np.isfinite(values).any():
+            errors = [None if s.errors[j] is None else s.errors[j] * v for s, v in zip((one, two), values, strict=True)]
+            here, there = (v if np.isfinite(v) else None for v in values)
+            rows.append(measured(f"{what} {at}", here, there, unit, (errors[0], errors[1])))
     return rows
-
-
-def _scaled(relative: float | None, value: float) -> float | None:
-    return None if relative is None else relative * value
-
-
-def _finite(value: float) -> float | None:
-    return value if np.isfinite(value) else None

@@ -53,31 +53,26 @@ def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
 
 
 def _coefficients(one: dict, two: dict) -> list[Difference]:
-    columns = (one["coefficients"], two["coefficients"], one["coefficients_unit"])
-    errors = zip(one["coefficients_stderr"], two["coefficients_stderr"], strict=True)
-    return [
-        measured(coefficient_meaning(i), x, y, unit, error)
-        for i, ((x, y, unit), error) in enumerate(zip(zip(*columns, strict=True), errors, strict=True))
-    ]
+    """Compare the coefficients that both linear models have."""
+    rows = zip(one["coefficients"], two["coefficients"], one["coefficients_unit"], one["coefficients_stderr"],
+               two["coefficients_stderr"], strict=False)  # fmt: skip
+    return [measured(coefficient_meaning(i), x, y, unit, (e, f)) for i, (x, y, unit, e, f) in enumerate(rows)]
 
 
 def _modes(one: dict, two: dict) -> list[Difference]:
     """Compare static stiffness and least damped mode of two linear models of different order."""
-    stiffness = measured(
-        coefficient_meaning(0), one["coefficients"][0], two["coefficients"][0], one["coefficients_unit"][0],
-        (one["coefficients_stderr"][0], two["coefficients_stderr"][0]),
-    )  # fmt: skip
+    stiffness = _coefficients(one, two)[0]
     # a heavily damped pole has no frequency of its own to compare
     loud = [
         min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
     ]
     if None in loud:
         return [stiffness]
-    pairs = [[m[key] for m in loud if m] for key in ("natural_hz", "damping")]
+    hertz, damping = ([m[key] for m in loud if m] for key in ("natural_hz", "damping"))
     return [
         stiffness,
-        measured("frequency of the least damped mode", pairs[0][0], pairs[0][1], "Hz", (None, None)),
-        measured("damping ratio of that mode", pairs[1][0], pairs[1][1], "", (None, None)),
+        measured("frequency of the least damped mode", *hertz, "Hz", (None, None)),
+        measured("damping ratio of that mode", *damping, "", (None, None)),
     ]
 
 

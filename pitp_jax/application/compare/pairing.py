@@ -2,19 +2,21 @@
 
     distance^2 = mean over the overlap of (y_a(t) - s y_b(t - offset))^2, means and both sensors' noise removed
 
-An assignment problem finds the pairs: a better command counts before a nearer response, a nearer response before an
-equal name. A difference between the machines that is the same in all recordings does not change the pairs. An unpaired
-recording is a repeat if it lies nearer to a paired recording of its own set than that one lies to its partner. It then
-gets the same partner.
+Two sets of commands differ by one constant, which is no difference: an encoder reads 2048 at rest. At this constant
+most recordings have a partner, so commands about two centres stay apart. An assignment problem finds the pairs: a
+better command counts before a nearer response, a nearer response before an equal name. A difference between the
+machines that is the same in all recordings does not change the pairs. An unpaired recording is a repeat if it lies
+nearer to a paired recording of its own set than that one lies to its partner. It then gets the same partner.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+from ...common.units import base_unit
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .alignment import ALIKE, Alignment, align
@@ -22,6 +24,7 @@ from .alignment import ALIKE, Alignment, align
 _AS_GOOD = (1.5, 0.02)  # factor and fraction of the command's deviation by which a misfit may exceed the best one
 _FIRST, _LAST = 1e3, 1e-9  # weights: of the command before the response, of the name after it
 _REFUSED = 1e6  # cost above any accepted one, and finite, as the assignment needs
+_SMALL = 0.01  # of a constant between two sets of commands: its weight beside the distance from partners
 _MIRRORED = -0.5  # median correlation of the outputs below which the output of a set is mirrored
 
 
@@ -77,6 +80,22 @@ class Pairing:
     undecided: tuple[tuple[str, str, tuple[str, ...]], ...] = ()
     mirrored: tuple[bool, bool] = (False, False)
 
+    @property
+    def offsets(self) -> tuple[float, float]:
+        """Return the constants by which commands and outputs of the first set exceed the second's, base units.
+
+        They are 0 where the remaining difference is larger. Outputs of the commands' kind have the same constant.
+        """
+        if not self.pairs:
+            return 0.0, 0.0
+        a = self.pairs[0].first
+        apart = [(p.first.voltage - p.command(), p.first.displacement - p.output()) for p in self.pairs]
+        rows = [(np.mean(u), np.std(u), np.nanmedian(y), np.nanstd(y)) for u, y in apart]
+        command, of_command, output, of_output = np.median(rows, 0).tolist()
+        command *= abs(command) > of_command
+        shared = command * (base_unit(a.voltage_unit) == base_unit(a.displacement_unit))
+        return command, shared + (output - shared) * (abs(output - shared) > of_output)
+
 
 def pair_records(
     first: Sequence[Record], second: Sequence[Record], *, shared: Literal["first", "second"] = "first"
@@ -94,7 +113,7 @@ def pair_records(
     same, mirrored = ([[tried[k] for tried in row] for row in both] for k in (0, 1))
     # a sine is its own mirror image half a period later, so the opposite sign must explain more recordings
     is_mirrored = _partnered(mirrored) > _partnered(same)
-    table = _Table.of(first, second, mirrored if is_mirrored else same)
+    table = _Table.of(first, second, _about_one_constant(mirrored if is_mirrored else same))
     cost = table.cost()
     rows, columns = linear_sum_assignment(cost)
     chosen = {(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < _REFUSED}
@@ -114,6 +133,21 @@ def pair_records(
     )  # fmt: skip
 
 
+def _about_one_constant(matches: list[list[Alignment]]) -> list[list[Alignment]]:
+    """Count in each misfit the distance from the constant at which the commands of the smaller set have partners.
+
+    Of two such constants the smaller one counts.
+    """
+    shift = np.array([[m.shift if m.accepted else np.inf for m in row] for row in matches])
+
+    def unmatched(constant: float) -> float:
+        far = np.abs(shift - constant)
+        return min(float(near[np.isfinite(near)].sum()) for near in (far.min(0), far.min(1))) + _SMALL * abs(constant)
+
+    best = min(shift[np.isfinite(shift)].tolist(), key=unmatched, default=0.0)
+    return [[replace(m, misfit=float(np.hypot(m.misfit, (m.shift - best) / m.spread))) for m in row] for row in matches]
+
+
 def _partnered(matches: list[list[Alignment]]) -> int:
     """Count the recordings of both sets whose command occurs in the other set of recordings."""
     fits = np.array([[m.accepted for m in row] for row in matches])
@@ -127,8 +161,7 @@ class _Table:
     Attributes:
         mine, others: the recordings.
         matches: of the commands.
-        near: whether no other recording of the second set has a better command for one of the first.
-        near_back: the same for the second set's recordings.
+        misfit: of the commands; inf where they differ.
         distance: squared distance of the responses, 0 within the noise; inf where the commands differ.
         noise: variances of both sensors' noise.
         output_sign: of the second set's outputs.
@@ -137,8 +170,7 @@ class _Table:
     mine: Sequence[Record]
     others: Sequence[Record]
     matches: list[list[Alignment]]
-    near: np.ndarray
-    near_back: np.ndarray
+    misfit: np.ndarray
     distance: np.ndarray
     noise: tuple[np.ndarray, np.ndarray]
     output_sign: int
@@ -146,36 +178,38 @@ class _Table:
     @classmethod
     def of(cls, first: Sequence[Record], second: Sequence[Record], matches: list[list[Alignment]]) -> "_Table":
         misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in matches])
-        near, back = (np.isfinite(misfit) & (misfit <= _allowed(misfit, axis)) for axis in (1, 0))
         noise = _noise(first), _noise(second)
         moments = {
-            (i, j): _moments(first[i], second[j], matches[i][j].offset) for i, j in np.argwhere(near | back).tolist()
+            (i, j): _moments(first[i], second[j], matches[i][j].offset)
+            for i, j in zip(*np.nonzero(_near(misfit) | _near(misfit.T).T), strict=True)
         }
         alike = [c / np.sqrt(a * b) for a, b, c in moments.values() if a * b > 0]
         sign = -1 if alike and np.median(alike) < _MIRRORED else 1
         distance = np.full(misfit.shape, np.inf)
         for (i, j), (a, b, c) in moments.items():
             distance[i, j] = max(a + b - 2 * sign * c - 2 * (noise[0][i] + noise[1][j]), 0.0)
-        return cls(
-            first, second, matches, near & np.isfinite(misfit), back & np.isfinite(misfit), distance, noise, sign
-        )
+        return cls(first, second, matches, misfit, distance, noise, sign)
+
+    @property
+    def near(self) -> np.ndarray:
+        """Return whether no other recording of the second set has a better command for one of the first."""
+        return _near(self.misfit)
 
     def turned(self) -> "_Table":
         """Return the same table with the two sets of recordings exchanged."""
         matches = [
-            [Alignment(m.correlation, -m.offset, 1 / m.size if m.size else np.inf, m.misfit) for m in column]
+            [replace(m, offset=-m.offset, size=1 / m.size if m.size else np.inf) for m in column]
             for column in zip(*self.matches, strict=True)
         ]
         return _Table(
-            self.others, self.mine, matches, self.near_back.T, self.near.T, self.distance.T,
+            self.others, self.mine, matches, self.misfit.T, self.distance.T,
             (self.noise[1], self.noise[0]), self.output_sign,
         )  # fmt: skip
 
     def cost(self) -> np.ndarray:
         """Return the cost of each possible pair: the command counts most, then the response, then the name."""
-        misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in self.matches])
-        fits = np.isfinite(misfit)
-        excess = np.where(fits, misfit, 0.0) - np.minimum(_allowed(misfit, 1), _allowed(misfit, 0))
+        misfit, fits = self.misfit, np.isfinite(self.misfit)
+        excess = np.where(fits, misfit, 0.0) - np.minimum(_allowed(misfit), _allowed(misfit.T).T)
         finite = self.distance[np.isfinite(self.distance)]
         response = self.distance / max(finite.max(initial=0.0), 1e-300)
         renamed = np.array([[a.name != b.name for b in self.others] for a in self.mine])
@@ -222,9 +256,13 @@ class _Table:
         return tuple(uncertain)
 
 
-def _allowed(misfit: np.ndarray, axis: int) -> np.ndarray:
+def _allowed(misfit: np.ndarray) -> np.ndarray:
     factor, part = _AS_GOOD
-    return factor * misfit.min(axis=axis, keepdims=True) + part
+    return factor * misfit.min(axis=1, keepdims=True) + part
+
+
+def _near(misfit: np.ndarray) -> np.ndarray:
+    return np.isfinite(misfit) & (misfit <= _allowed(misfit))
 
 
 def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[tuple[int, int]]:

@@ -7,14 +7,14 @@ identified.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from ...common.errors import BadInput, ComputationFailed
 from ...common.numbers import number
 from ...common.units import base_unit, from_base
-from ...method.identify.identification import Identification, identify
-from ...method.model.input_map import usual_input_map
+from ...method.identify.identification import identify
 from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .models import compare_models
@@ -32,48 +32,16 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
     remarks = remarks_on(pairs, *names)
     if pairs.pairs:
         rows = [row for pair in pairs.pairs for row in _outputs(pair, names[0])]
-        remarks += _offset_lines(pairs.pairs, names)
         return Comparison("records", names, tuple(rows), tuple(remarks), pairs)
     try:
-        models = [linear_model_of(records).model for records in (a, b)]
+        models = [identify(records).model for records in (a, b)]
     except ComputationFailed as error:
         raise ComputationFailed(
             f"the sets have no command in common, and no linear model of one can be identified: {error}"
         ) from None
-    compared = compare_models(models[0], models[1], names)
-    first = "The sets have no command in common, so linear models identified on each are compared."
-    return Comparison("records", names, compared.rows, (first, *compared.remarks), pairs)
-
-
-def linear_model_of(records: Sequence[Record]) -> Identification:
-    """Identify a linear model with delay, with the input map (linear or square) that leaves the smaller residual.
-
-    Raises:
-        BadInput, ComputationFailed: as `identify`.
-    """
-    identified, failed = [], None
-    moved_by_voltage = usual_input_map(records[0].voltage_unit, records[0].displacement_unit) == "square"
-    for input_map in ("linear", "square") if moved_by_voltage else ("linear",):
-        try:
-            identified.append(identify(records, input_map=input_map, learn=("delay",)))
-        except ComputationFailed as error:  # the other map may still succeed
-            failed = error
-    if not identified:
-        raise failed or ComputationFailed("no linear model can be identified")
-    return min(identified, key=lambda i: i.chosen.rms)
-
-
-def _offset_lines(pairs: Sequence[Pair], names: tuple[str, str]) -> list[str]:
-    """Write the constant offsets between the outputs where one exceeds the remaining rms difference of its pair."""
-    unit = pairs[0].first.displacement_unit
-    if all(abs(p.output_offset) <= np.nanstd(p.output() - p.first.displacement) for p in pairs):
-        return []
-    offsets = sorted(float(from_base(p.output_offset, unit)) for p in pairs)
-    ends = " to ".join(dict.fromkeys(number(v, 3) for v in (offsets[0], offsets[-1])))
-    return [
-        f"The output of the {names[1]} minus that of the {names[0]} has a constant offset of {ends} {unit}, which was "
-        "subtracted. This is not a difference."
-    ]
+    compared = compare_models(*models, names)
+    why = "The sets have no command in common, so linear models identified on each are compared."
+    return replace(compared, kind="records", remarks=(why, *compared.remarks), pairs=pairs)
 
 
 def _outputs(pair: Pair, first: str) -> list[Difference]:
@@ -88,11 +56,12 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     seen = np.isfinite(y) & np.isfinite(other)
     noise = float(np.hypot(noise_std(y), noise_std(pair.second.displacement)))
     # block by block, because one error of a whole recording would not give the uncertainty of size and lag
-    fits = [f for f in (_affine(y, other, seen & block, a.dt) for block in _blocks(seen)) if f is not None]
+    block = np.arange(len(seen)) * _BLOCKS // len(seen)
+    fits = [f for k in range(_BLOCKS) if (f := _affine(y, other, seen & (block == k), a.dt)) is not None]
     whole = _affine(y, other, seen, a.dt)
     if whole is None or len(fits) < 3:
         return []
-    sizes, lags = np.array(fits)[:, 0], np.array(fits)[:, 1]
+    sizes, lags = np.array(fits).T
     errors = [float(v.std(ddof=1) / np.sqrt(len(v))) for v in (sizes, lags)]
     name = a.name if a.name == pair.second.name else f"{a.name}, {pair.second.name}"
     stroke = float(from_base(np.ptp(y[seen]), unit))
@@ -104,11 +73,6 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
         Difference(f"{name}: rms difference (noise: {number(floor, 2)} {unit})", "reference", difference, unit, None,
                    difference > _NOISES * floor),
     ]  # fmt: skip
-
-
-def _blocks(seen: np.ndarray) -> list[np.ndarray]:
-    number = np.arange(len(seen)) * _BLOCKS // len(seen)
-    return [number == k for k in range(_BLOCKS)]
 
 
 def _affine(y: np.ndarray, other: np.ndarray, use: np.ndarray, dt: float) -> tuple[float, float] | None:

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...common.numbers import number
+from ...common.units import from_base
 from .pairing import Pairing
 
 _DAY = 86400.0  # s: clocks farther apart have different origins, such as epoch time and the start of a run
@@ -16,6 +17,7 @@ def remarks_on(pairing: Pairing, first: str, second: str) -> list[str]:
     named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
     lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
     lines += _of_ties(pairing, first, second)
+    lines += _of_offsets(pairing, first, second)
     lines += _of_signs(pairing, second)
     offsets = [p.offset for p in pairing.pairs]
     # below 0.1 ms it is an interpolation error
@@ -51,6 +53,18 @@ def _of_ties(pairing: Pairing, first: str, second: str) -> list[str]:
             f"{name} fits {_listed(others)} as well as {partner}: commands and responses are equal within the noise."
         )
     return lines
+
+
+def _of_offsets(pairing: Pairing, first: str, second: str) -> list[str]:
+    if not any(pairing.offsets):
+        return []
+    a = pairing.pairs[0].first
+    kinds = zip(("commands", "outputs"), pairing.offsets, (a.voltage_unit, a.displacement_unit), strict=True)
+    constants = ", ".join(f"{word} {number(float(from_base(v, unit)), 4)} {unit}" for word, v, unit in kinds if v)
+    return [
+        f"The log of the {first} has a constant offset beside that of the {second} ({constants}), which was "
+        "subtracted. This is not a difference."
+    ]
 
 
 def _of_signs(pairing: Pairing, second: str) -> list[str]:
