@@ -44,7 +44,7 @@ MODELS = Path(__file__).parent / "files" / "models_0_2_0"
 DT, SAMPLES = 2e-3, 2000
 TIME = np.arange(SAMPLES) * DT
 SCALE = Scale(
-    tau=0.03, dt=DT, duration=4.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=30.0, acceleration=1e3,
+    tau=0.03, dt=DT, duration=4.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=30.0, acceleration=1e3, fall=1e3,
     voltage=1400.0, slew=1e4, area=100.0, a0=1.0, a1=0.006, a2=0.001, force=2.0,
 )  # fmt: skip
 VOLTS = 600 * (1.3 - np.cos(2 * np.pi * (0.5 + 1.2 * TIME) * TIME))

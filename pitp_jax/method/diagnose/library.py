@@ -74,7 +74,7 @@ class Form:
 
 @dataclass(frozen=True)
 class Scale:
-    """Units of the initial guesses, from the nominal model and the records (`search.scale_of`)."""
+    """Units of the initial guesses, from the nominal model and the records (`scale_of`): scaled x, s, scaled force."""
 
     tau: float
     dt: float
@@ -85,6 +85,7 @@ class Scale:
     bottom: float
     speed: float
     acceleration: float
+    fall: float
     voltage: float
     slew: float
     area: float
@@ -96,6 +97,11 @@ class Scale:
     fastest: float = np.inf  # scaled speed that 0.5 % of the samples exceed
     low: float = 0.0  # rad/s, lower and upper end of the excited band
     high: float = np.inf
+    rates: tuple[float, float] = (1.0, 1.0)  # 1/s, from these units of x' and x'' to the model's scaled ones
+
+    def stored(self, p: Parameter) -> float:
+        """Return the factor from a parameter in these units to the model's scaled ones."""
+        return float(self.rates[0] ** -(p.speed + p.acceleration) * self.rates[1] ** -p.acceleration)
 
 
 def forms(s: Scale) -> list[Form]:
@@ -105,7 +111,8 @@ def forms(s: Scale) -> list[Form]:
         spec = _BY_KEY[key]
         ends = [within.get(k, (-np.inf, np.inf)) for k in slots_of_row(spec)]
         if all(low < high for low, high in ends):
-            begun = [[float(np.clip(v, *e)) for v, e in zip(n, ends, strict=True)] for n in starts]
+            units = [s.stored(p) for p in spec.parameters]
+            begun = [[float(np.clip(v * u, *e)) for v, u, e in zip(n, units, ends, strict=True)] for n in starts]
             made += [Form(group(spec.name), spec, dict(zip(slots_of_row(spec), n, strict=True))) for n in begun]
     # a changed mass: heavier and lighter; without a mass, a small and a large one relative to the damping
     masses = (1.2 * s.a2, 0.85 * s.a2) if s.a2 > 0 else (0.05 * s.tau * _damping(s), 0.5 * s.tau * _damping(s))
@@ -163,14 +170,16 @@ def _starts(s: Scale) -> Iterator[tuple]:
     if s.radian:
         yield "softening: weight on an arm", (0.1, s.radian), (-0.1, s.radian)
     yield "softening: root", (1 / x,)
-    yield "end_stop: above", *((k, s.bottom + f * span) for k in (2.0, 20.0) for f in (0.6, 0.9))
-    yield "end_stop: below", *((k, 0.85 * span - s.top) for k in (2.0, 20.0))
+    # a law that begins at a level starts at several within the data: between two of them its cost has other minima
+    ends = [(k, f) for k in (2.0, 20.0) for f in (0.6, 0.75, 0.9, 0.97)]
+    yield "end_stop: above", *((k, s.bottom + f * span) for k, f in ends)
+    yield "end_stop: below", *((k, f * span - s.top) for k, f in ends)
     yield "end_stop: each side", *((k, middle + 0.375 * span, 0.375 * span - middle) for k in (2.0, 20.0))
     sides = [(middle + f * span, f * span - middle) for f in (0.4, 0.47)]
     yield "end_stop: each side, damped", *((k, *ends, tau) for k in (3.0, 20.0) for ends in sides)
     if s.acceleration > 0:
-        yield "force_limit: inside the loop", *((f / (s.a2 * s.acceleration),) for f in (0.7, 1.0, 1.4))
-        yield "slack: free fall", *((f / s.acceleration,) for f in (1.3, 3.0))
+        yield "force_limit: inside the loop", *((f / (s.a2 * s.acceleration),) for f in (0.5, 0.7, 1.0, 1.4, 2.0))
+        yield "slack: free fall", *((f / s.fall,) for f in np.geomspace(0.45, 2.2, 8))
     yield "creep: one branch", *((k, f * tau) for k, f in branches)
     yield "hysteresis: Dahl", (5.0, 0.01 * x), (0.3, 0.1 * x), (0.3, 0.5 * x)
     yield "hysteresis: Bouc-Wen, either sign", *((0.5, w * x, g) for w, g in ((0.1, -0.5), (0.5, -0.5), (0.5, 0.5)))
@@ -180,7 +189,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
         *((c * volts, f * s.area) for c in (0.5, -0.5) for f in (0.1, 0.5)),
     )
     yield "hysteresis: plays of the drive", *((*4 * (0.1,), f * volts) for f in (0.5, 1.5))
-    yield "coulomb_friction: Coulomb", *((f * pull,) for f in (0.01, 0.05, 0.2))
+    yield "coulomb_friction: Coulomb", *((f * pull,) for f in (0.01, 0.02, 0.05, 0.1, 0.2))
     yield "coulomb_friction: Stribeck", (0.04 * pull, 0.5, 0.1 * s.speed)
     yield "coulomb_friction: smooth", (0.05 * pull, 0.05 * s.speed)
     yield (
@@ -193,10 +202,10 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
     yield "bleeder: one lag each way", (0.05 * tau, 0.5 * tau), (0.5 * tau, 0.05 * tau), (0.3 * tau, 2 * tau)
     yield "force_lag: one lag", (0.2 * tau,), (tau,)
-    yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.4, 0.8))
-    yield "voltage_clip: hard", *((1 / (f * volts),) for f in (0.55, 0.8, 0.93))
+    yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.2, 0.4, 0.6, 0.8))
+    yield "voltage_clip: hard", *((1 / (f * volts),) for f in (0.4, 0.55, 0.7, 0.8, 0.87, 0.93, 0.97))
     yield "voltage_offset: constant", (-0.05 * volts,), (0.05 * volts,)
-    yield "dead_zone: symmetric", (0.05 * volts,), (0.2 * volts,)
+    yield "dead_zone: symmetric", *((f * volts,) for f in (0.02, 0.05, 0.1, 0.2, 0.35))
     yield "delay: pure", (s.dt,), (0.1 * tau,), (0.5 * tau,)
     yield SHIFT.key, (0.5 * s.dt,), (0.1 * tau,)
     yield LAGGED.key, (s.dt, -0.5 * s.dt), (0.2 * tau, -0.5 * s.dt)
@@ -213,7 +222,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "sensor_nonlinearity: quadratic and cubic", *((c2 / x, c3 / x**2) for c2, c3 in curve)
     yield "sensor_nonlinearity: saturating", (0.5 / x,)
     yield "sensor_nonlinearity: folded", (0.0,)
-    yield "backlash: play", *((f * x,) for f in (0.04, 0.2, 0.5))
+    yield "backlash: play", *((f * x,) for f in (0.02, 0.04, 0.1, 0.2, 0.5))
     yield "backlash: coasting", (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
     yield "mullins: exponential", (0.15, 0.5 * x)
     yield "sensor_gain: share", (0.05,)
@@ -225,7 +234,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
 
 _BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, *FAULTS)}
 # only the names of these starts are used, not their sizes
-_UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0})
+_UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0, "rates": (1.0, 1.0)})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
 # the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models

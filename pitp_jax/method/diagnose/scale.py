@@ -5,7 +5,7 @@ import numpy as np
 from ..model.units import base_units, units_of
 from .data import Case, excited_hz
 from .fit import Fit
-from .library import CORE, Scale
+from .library import CORE, Scale, rates_of
 
 
 def scale_of(case: Case, base: Fit) -> Scale:
@@ -33,10 +33,10 @@ def scale_of(case: Case, base: Fit) -> Scale:
         tau=tau, dt=case.dt, duration=longest, session=max(ages) - min(ages) + longest if max(ages) > 0 else 0.0,
         reach=float(np.quantile(np.abs(x), 0.98)), top=float(np.quantile(x, 0.98)), bottom=float(np.quantile(x, 0.02)),
         speed=float(np.quantile(np.abs(v), 0.9)) + 1e-12, acceleration=float(np.quantile(np.abs(a), 0.98) * (a2 > 0)),
-        voltage=float(np.abs(volts).max()),
+        fall=float(max(-np.quantile(a, 0.04), 1e-12)), voltage=float(np.abs(volts).max()),
         slew=float(np.quantile(np.abs(np.concatenate([np.diff(d.voltage) / d.dt for d in drives])), 0.99)) + 1e-12,
         area=area, a0=a0, a1=a1, a2=a2, force=float(np.abs(force).max()),
-        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1],
+        fastest=float(np.quantile(np.abs(v), 0.995)), low=band[0], high=band[1], rates=rates_of(case.model),
         radian=float(case.model.scales.state[0]) if base_units(units_of(case.model)).output.unit == "rad" else 0.0,
     )  # fmt: skip
 
