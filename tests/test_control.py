@@ -364,10 +364,11 @@ def test_an_export_proves_itself_at_a_high_rate(tmp_path, dt, precision):
     assert subprocess.run(["make", "-B"], cwd=tmp_path / "c", capture_output=True).returncode != 0
 
 
-def test_dry_friction_does_not_enter_the_loop():
-    """A machine that is held still has no response; the gains are those of the sliding one."""
+@pytest.mark.parametrize(("name", "numbers"), [("coulomb_friction", {"level": 0.01}), ("backlash", {"width": 0.05})])
+def test_dry_friction_and_play_do_not_enter_the_loop(name, numbers):
+    """A machine that is held still or within its play has no response; the gains are those of the sliding one."""
     plain = actuator()
-    assert pitp.pi_gains(replace(plain, effects=(effect("coulomb_friction", level=0.01),))) == pitp.pi_gains(plain)
+    assert pitp.pi_gains(replace(plain, effects=(effect(name, **numbers),))) == pitp.pi_gains(plain)
 
 
 # ------------------------------------------------------------------------------------------------ its own plant

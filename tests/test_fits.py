@@ -13,10 +13,15 @@ from pitp_jax.method.diagnose import fit
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import probability
 from pitp_jax.method.diagnose.fit import Fit, Fitter
+from pitp_jax.method.diagnose.handing_back import is_steady, stable
 from pitp_jax.method.diagnose.library import INDEX, PLACES, sections, slots_of_row
 from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.effects import lookup
+from pitp_jax.method.model.domain import Domain
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.model import linear_model
 from pitp_jax.method.simulate.decoder import rest_state, rollout
+from pitp_jax.method.simulate.model_runs import model_runs
 
 GENT = "stiffening: limited chain, curvature"
 
@@ -284,3 +289,32 @@ def test_what_a_session_has_stretched_stays_stretched(nominal):
     truth = pitp.predict(softened, records)[1].displacement / nominal.scales.state[0]
     fresh = pitp.predict(softened, records[1:])[0].displacement / nominal.scales.state[0]
     assert case.thinned == 1 and np.std(mine - truth) < 0.4 * np.std(fresh - truth)
+
+
+def test_a_law_of_acceleration_starts_where_the_records_reach_it(nominal):
+    """x'' >= -g with g at 0.6 of the fall that the 4 % quantile shows: the best of its starts is near."""
+    healthy = build_case(nominal, play(nominal))
+    scale = Search(healthy, False).scale
+    (p,) = lookup("slack", "free fall").parameters
+    inverse = scale.stored(p) / (0.6 * scale.fall)
+    case = build_case(nominal, play(replace(nominal, effects=(effect("slack", "free fall", jnp.asarray(inverse)),))))
+    search = Search(case, False)
+    starts = [search._started(search.base.fit, form) for form in search.library if form.name == "slack"]
+    best = min(search.fitter.fit(starts, 8), key=lambda f: f.cost)
+    assert best.value("slack: free fall, inverse") == pytest.approx(inverse, rel=0.1)
+
+
+def test_a_returned_model_takes_steps_that_its_friction_can_follow():
+    """A finger at 60 Hz behind its valve: steep friction chatters at two steps a sample, and rounding grows."""
+    steep = linear_model(
+        np.array([107.0, 7.0, 0.587, 0.0158]), input_map=LinearInput(), state_scale=np.array([0.7, 4.1, 54.0, 790.0]),
+        force_scale=120.0, domain=Domain(1 / 60), hold="zoh", substeps=2,
+    )  # fmt: skip
+    steep = replace(steep, effects=(effect("coulomb_friction", "smooth", jnp.asarray(0.043), jnp.asarray(8e-4)),))
+    time = np.arange(1500) / 60
+    drive = 60 * (1 - np.cos(2 * np.pi * (0.1 + 0.05 * time) * time))
+    x = model_runs(replace(steep, substeps=32), drive[None], 1 / 60, np.asarray(rest_state(steep))[None])[1][0]
+    y = 0.7 * (x + 1e-3 * np.random.default_rng(0).standard_normal(len(x)))
+    records = [pitp.Record("r", time, drive, y)]
+    made, error = stable(steep, records, np.inf)
+    assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(error)

@@ -34,8 +34,8 @@ from pitp_jax.method.effects import CATALOGUE, lookup
 from pitp_jax.method.signal.record import Record
 
 SCALE = Scale(
-    tau=0.02, dt=1e-3, duration=10.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=1.0, acceleration=1.0, fall=1.0,
-    voltage=1000.0, slew=1e4, area=100.0, a0=1.0, a1=0.01, a2=1e-4, force=1.0,
+    tau=0.02, dt=1e-3, duration=10.0, session=0.0, reach=1.0, top=1.0, bottom=-1.0, speed=1.0, acceleration=1.0,
+    fall=1.0, voltage=1000.0, slew=1e4, area=100.0, a0=1.0, a1=0.01, a2=1e-4, force=1.0,
 )  # fmt: skip
 RECORDS, SAMPLES = 6, 400
 

@@ -45,7 +45,7 @@ def print_adaptation(day: Adaptation) -> None:
             low, high = (number(1e3 * end, 3) for end in c.seconds_ci95)
             now.append(f"now {number(1e3 * c.seconds, 3)} ms ({low} to {high})")
         if not c.is_significant:
-            now.append("unchanged within its interval")
+            now.append("applied, though 1 lies within its interval")
         rows.append((name, number(c.factor, 4), " to ".join(number(end, 4) for end in c.ci95), ", ".join(now)))
     if rows:
         print_table(("number", "factor", "95 % interval", ""), rows)

@@ -48,7 +48,7 @@ def print_lineage(summary: dict) -> None:
     for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
             low, high = c["ci95"]
-            unchanged = ", unchanged within its interval" if low <= 1 <= high else ""
+            unchanged = ", though 1 lies within its interval" if low <= 1 <= high else ""
             print(f"adapted: {name} times {number(c['factor'])} ({number(low)} to {number(high)}){unchanged}")
     print(f"this model: sha256 {summary['digest']}")
     for entry in summary["lineage"]:

@@ -123,7 +123,9 @@ def _expect(model: Fitted, planned: Feedforward) -> None:
     if planned.outside_training_share > WORTH_A_LINE:
         print("expected tracking error: not known, because the model was not trained with such a motion")
     elif expected := expected_error(model, planned.wanted, float(planned.time[1] - planned.time[0])):
-        print(f"expected tracking error: {number(expected.percent, 2)} % of range ({expected.source})")
+        # the model's error, and what its own simulation leaves of the target
+        percent = float(np.hypot(expected.percent, planned.self_check_e_rms_percent))
+        print(f"expected tracking error: {number(percent, 2)} % of range ({expected.source})")
 
 
 def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: float) -> None:

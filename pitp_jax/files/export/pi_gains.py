@@ -188,8 +188,9 @@ def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]
         BadInput: no equilibrium exists, or the model has no derivatives at one.
     """
     late = total_delay(model.effects)
-    # A machine held by dry friction does not respond, so the loop is tuned for the sliding machine.
-    model = replace(model, effects=tuple(e for e in model.effects if not (e.delays or e.spec.resolved)))
+    # held by dry friction or within its play a machine does not respond: the loop is tuned for the one that slides
+    still = tuple(e for e in model.effects if e.delays or e.spec.resolved or e.name == "backlash")
+    model = replace(model, effects=tuple(e for e in model.effects if e not in still))
     forward = steps.predict(model, dt, held=True)
     square, way = model.input_map.one_sided, float(sign(model))
     points, stiffness = [], []

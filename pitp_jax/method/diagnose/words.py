@@ -56,14 +56,14 @@ def _rest(d) -> list[str]:
     """Return the parts of the error's energy that no reported effect explains."""
     parts = (
         ("unnamed", "can be predicted from the input, but no single cause is certain"),
-        ("unexplainable", "is left by the parts above" if further(d) else "cannot be predicted"),
+        ("unexplainable", "is left by the parts above" if further(d) else "is predicted by no model tried here"),
     )
     shares = {k: d.budget[k]["share"] for k, _ in parts}
     return [f"{percent(shares[k])} {text}" for k, text in parts if shares[k] >= 0.005 or k != "unnamed"]
 
 
 def further(d) -> float:
-    """Return the fraction of the remaining error that a further part would remove; 0 if it is small."""
+    """Return the fraction of the remaining error that another model predicts; 0 if it is small."""
     fraction = 1 - d.gap.explainable / d.gap.after if d.handed_back and d.gap.after > 0 else 0.0
     return fraction if fraction > 1 - rules.FIRST else 0.0
 
@@ -136,8 +136,8 @@ def next_step(d) -> str:
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
     if fraction := further(d):
         return (
-            "Next: diagnose again with --nominal model_augmented, because a further part would remove "
-            f"{percent(fraction)} of the remaining error."
+            f"Next: diagnose again with --nominal model_augmented, because up to {percent(fraction)} of the remaining "
+            "error can be predicted."
         )
     if d.effects:
         return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."

@@ -90,7 +90,7 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
     near = np.exp(away.min(1, keepdims=True) - away)
     squares = (near * error**2).sum(1) / near.sum(1)
     errors = [v for v in ((origin.training or {}).get("left_out_errors") or {}).values() if v is not None]
-    source = "from the recordings that it was identified on, at similar frequencies and amplitudes"
+    source = "from the recordings that it was made from, at similar frequencies and amplitudes"
     if step == "fit":
         source = (
             f"from {len(errors)} recordings, each left out of a training ({min(errors):.2g} to {max(errors):.2g} "
