@@ -120,7 +120,7 @@ def test_a_gap_in_the_band_is_named_in_numbers(good):
     kept = [record(f"sine{f:g}", sine(f, 1000)) for f in (1.0, 2.0, 3.0, 4.0, 5.0, 9.0, 11.0)]
     kept.append(record("small7", sine(7.0, 200)))
     (line,) = [line for line in pitp.check(kept).advice if "nothing between" in line]
-    assert "between 5 and 9 Hz" in line and "exceeds half the amplitude" in line
+    assert "between 5 and 9 Hz" in line and "exceeds half the swing (500 V from peak to peak)" in line
 
 
 def test_repeats_say_what_the_rig_repeats(good):

@@ -49,21 +49,21 @@ class Coverage:
             one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
                 f"nothing between {_two(low)} and {_two(high)} Hz, near the resonance at {_two(f0)} Hz, exceeds half "
-                f"the amplitude ({self._size(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} "
-                f"Hz of {self._size(1.6 * half)}{by}"
+                f"the swing ({self._swing(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} Hz of "
+                f"{self._swing(1.6 * half)}{by}"
             )
         # The amplitude matters most here, because the motion is largest.
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
                 f"all inputs near the resonance at {_two(f0)} Hz have almost the same amplitude "
-                f"({self._size(near.max())}), so effects of the amplitude cannot be learned; add some of "
-                f"{self._size(near.max() / 2)}"
+                f"({self._swing(near.max())}), so effects of the amplitude cannot be learned; add some of "
+                f"{self._swing(near.max() / 2)}"
             )
         return lines
 
-    def _size(self, amplitude: float) -> str:
-        return f"{_two(from_base(float(amplitude), self.unit))} {self.unit}"
+    def _swing(self, amplitude: float) -> str:
+        return f"{_two(2 * from_base(float(amplitude), self.unit))} {self.unit} from peak to peak"
 
 
 def _two(value: float) -> str:
