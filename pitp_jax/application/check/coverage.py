@@ -49,8 +49,8 @@ class Coverage:
             one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
                 f"nothing between {_two(low)} and {_two(high)} Hz, near the resonance at {_two(f0)} Hz, exceeds half "
-                f"the swing ({self._swing(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} Hz of "
-                f"{self._swing(1.6 * half)}{by}"
+                f"the swing ({self._swing(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} Hz "
+                f"of {self._swing(1.6 * half)}{by}"
             )
         # The amplitude matters most here, because the motion is largest.
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
