@@ -22,9 +22,9 @@ from ...method.signal.sets import check_records
 from ...method.simulate.prediction import predict
 from ..compare.pairing import pair_records
 from .correction import corrections
+from .mjcf import with_shared_weight
 from .result import SimToReal
 
-_WEIGHT = "softening weight"
 _WORSE = 1.1  # times the error with a higher order: what a lower one with its effects may leave
 
 
@@ -146,13 +146,15 @@ def model_of_simulator(
         model, own = best.model, None
         if order < best.chosen.order:
             model = identify(simulated, order=order, input_map=model.input_map.name).model
-        if _error(model, simulated) > hidden:
+        error = _error(model, simulated)
+        if error > hidden:
             options["progress"](f"diagnosing the simulator's own recordings at order {order}")
             own = diagnose_model(model, seen, refit_nominal=True, **options)
-            model = own.model
             if own.interrupted:  # there is no result on the robot yet
                 raise KeyboardInterrupt
-        error = _error(model, simulated)
+            left = _error(own.model, simulated)
+            if own.verdict != "unknown" or left < rules.HALF * error:  # parameters of uncertain effects mislead
+                model, error = own.model, left
         if error <= hidden:
             return model, own, 0.0
         tried.append((model, own, error))
@@ -165,19 +167,13 @@ def parameters_of(
     """Return simulator's and robot's parameters under one hypothesis.
 
     Where another position gain explains the changed coefficients, the robot's torques are multiples of its own gain. A
-    load that both carry is then the same torque in both: a weight that the diagnosis did not change is the simulator's,
-    and the rest of the stiffness is a spring.
+    load that both carry is then the same torque in both.
     """
     rows = parameters(nominal, robot, real, position_gain)
     gain = [p for p in rows if p.name == "position gain"]
     if not gain:
         return rows
-    own = {p.name: p for p in parameters(nominal, robot, real, gain[0].robot)}
-    weight = next((p for p in rows if p.name == _WEIGHT), None)
-    if weight is not None and all(a.effect != "softening" for a in robot.added):
-        less = own[_WEIGHT].robot - weight.simulator
-        own["stiffness"] = replace(own["stiffness"], robot=own["stiffness"].robot + less)
-        own[_WEIGHT] = replace(weight, robot=weight.simulator)
+    own = {p.name: p for p in with_shared_weight(parameters(nominal, robot, real, gain[0].robot), robot)}
     for p in rows[1:]:
         value, less = own[p.name].robot, p.simulator if np.isfinite(p.simulator) else 0.0
         words = p.words.removesuffix(", if the position gain is the simulator's")

@@ -1,9 +1,11 @@
 """Write what a robot has in addition to its simulator into the simulator's MuJoCo file."""
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from ...files.mjcf.write import Written, write_numbers
-from ...method.diagnose.joint import parameters
+from ...method.diagnose.joint import Answer, Parameter, parameters
 from .result import SimToReal
 
 
@@ -34,5 +36,21 @@ def write_mjcf(
         >>> found = pitp.diagnose(robot, against=simulated)  # doctest: +SKIP
         >>> pitp.write_mjcf(found, "arm.xml", "elbow", "gap").changes  # doctest: +SKIP
     """
-    rows = parameters(found.nominal, found.robot, found.records, None)
+    rows = with_shared_weight(parameters(found.nominal, found.robot, found.records, None), found.robot)
     return write_numbers(rows, found.records, found.nominal.physical_coefficients, mjcf, joint, out, actuator)
+
+
+def with_shared_weight(rows: Sequence[Parameter], robot: Answer) -> tuple[Parameter, ...]:
+    """Return the parameters with the simulator's weight in the robot, beside another position gain.
+
+    The recordings determine the sum of weight and spring. A weight that the diagnosis did not change is the
+    simulator's, and the rest is the spring. Both are still in multiples of the simulator's gain.
+    """
+    found = {p.name: p for p in rows}
+    gain, weight, spring = (found.get(name) for name in ("position gain", "softening weight", "stiffness"))
+    if gain and weight and spring and all(a.effect != "softening" for a in robot.added):
+        kept = weight.simulator * gain.simulator / gain.robot
+        rest = spring.robot + weight.robot - kept
+        found[weight.name] = replace(weight, robot=kept, difference=0.0)
+        found[spring.name] = replace(spring, robot=rest, difference=rest - spring.simulator)
+    return tuple(found.values())

@@ -68,7 +68,7 @@ class SimToReal:
         share = self._share
         parts = {k: dict(v) for k, v in self.robot.budget.items()}
         rest = share
-        for key in (k for k in ("unexplainable", "unnamed") if k in parts):
+        for key in ("unexplainable", "unnamed"):
             taken = min(rest, max(parts[key]["share"], 0.0))
             parts[key]["share"] -= taken
             rest -= taken
@@ -188,10 +188,9 @@ def differs(p: Parameter) -> bool:
 
 def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
     """Write that another position gain explains all changed coefficients, or nothing if none does."""
-    gain = next((p for p in parameters if p.name == "position gain"), None)
-    if gain is None:
-        return []
-    factor = gain.robot / gain.simulator
-    names = [p.name for p in parameters if p.name in ("damping", "inertia")]
-    twin = " and ".join(f"{name} x {number(1 / factor, 3)}" for name in names)
-    return [f"position gain x {number(factor, 3)} (or {twin}): these recordings do not separate the two"]
+    factors = [p.robot / p.simulator for p in parameters if p.name == "position gain"]
+    return [
+        f"position gain x {number(k, 3)} (or all other torques x {number(1 / k, 3)}): these recordings do not separate "
+        "the two"
+        for k in factors
+    ]

@@ -11,7 +11,7 @@ difference exceeds 1.96 times both of these combined. Two free runs of one sweep
 exceeds both e.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax
 import jax.numpy as jnp
@@ -141,9 +141,8 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
     """Return the standard error of the logarithm of a stiffness, resonance or damping: the change that errors hide."""
     if k is not None and k > model.order:
         return None
-    factors = np.full(model.order + 1, 1 + _STEP) if k is None else np.where(np.arange(model.order + 1) == k, 1.05, 1.0)
-    coefficients = model.coefficients * jnp.asarray(factors, model.coefficients.dtype)
-    moved = _run(replace(model, coefficients=coefficients), drive, dt)
+    factors = np.where((np.arange(model.order + 1) == k) | (k is None), 1 + _STEP, 1.0)
+    moved = _run(model.changed(factors), drive, dt)
     change = float(np.sqrt(np.mean((moved - run) ** 2)))
     if not change > 0:
         return None

@@ -46,8 +46,8 @@ def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
                 continue
             for name, c in entry["changed"].items():
                 low, high = (float(end) - 1 for end in c["ci95"])
-                sides = (1.0, float(c["factor"])) if k else (float(c["factor"]), 1.0)
-                interval = (low, high) if k else (-high, -low)
+                sides, interval = (1.0, float(c["factor"])), (low, high) if k else (-high, -low)
+                sides = sides if k else sides[::-1]
                 rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
     return rows
 
@@ -100,12 +100,11 @@ def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
     if digests[0] == digests[1]:  # also of two files whose names or dates differ
         return ["Both hold the same model."]
     lines = []
-    for k in (0, 1):  # either may be the older one
+    for k, mine in enumerate(sums):  # either may be the older one
         if digests[k] in parents[1 - k]:
             lines.append(f"{names[1 - k]} was made from {names[k]}.")
-    for k, mine in enumerate(sums):
         only = [name for s, name in mine.items() if s not in sums[1 - k]]
         if only:
             lines.append(f"Only {names[k]} saw {', '.join(only)}.")
     both = [name for s, name in sums[0].items() if s in sums[1]]
-    return [*lines, *([f"Both saw {', '.join(both)}."] if both else [])]
+    return [*lines, f"Both saw {', '.join(both)}."] if both else lines
