@@ -62,11 +62,16 @@ def against(explained):
     ]
     rest = {k: {"share": 0.1} for k in ("nuisance", "parameters", "unnamed", "unexplainable")}
     budget = rest | {"effects": {"delay": {"share": 0.6}}}
-    linear = pitp.identify(simulated, order=2, input_map="linear")
     found: Any = SimToReal(
-        explained, None, linear, explained.model, pair_records(robot, simulated), tuple(rows), (0.1, 0.0, 0.2),
-        tuple(robot), tuple(0.1 * r.voltage for r in robot),
-    )  # fmt: skip
+        explained,
+        None,
+        explained.model,
+        0.1,
+        pair_records(robot, simulated),
+        tuple(rows),
+        tuple(robot),
+        tuple(0.1 * r.voltage for r in robot),
+    )
     object.__setattr__(explained, "budget", budget)
     return against_page(found)
 

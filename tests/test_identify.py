@@ -11,6 +11,9 @@ from typed import of_kind, some
 
 from pitp_jax import BadInput, ComputationFailed, Record, predict
 from pitp_jax.application.commands.identify import delay_text
+from pitp_jax.method.diagnose.data import build_case
+from pitp_jax.method.diagnose.library import OFFSET
+from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.identify.beginnings import find_beginnings
 from pitp_jax.method.identify.candidates import choose
 from pitp_jax.method.identify.heldout import Candidate, HeldOut
@@ -253,6 +256,14 @@ def test_an_axis_without_a_spring_predicts_other_motions_at_the_noise(offset):
     other, noise = axis(2, offset=offset)
     (run,) = predict(found.model, [other])
     assert np.sqrt(np.mean((run.displacement - other.displacement)[run.scored] ** 2)) < 1.5 * noise
+
+
+def test_a_diagnosis_refits_the_offset_of_an_axis():
+    """It belongs to the linear model of a plant without a spring, and is no effect of its own there."""
+    nominal = identify([axis(1, offset=0.3)[0]], input_map="linear", leave_out=("delay",)).model
+    search = Search(build_case(nominal.model, [axis(3, offset=0.1)[0]]), True)
+    assert search.linear.fit.value(OFFSET) == pytest.approx(0.1, abs=5e-3)
+    assert all(form.name != "voltage_offset" for form in search.library)
 
 
 def test_what_is_left_out_of_fold_by_band(coefficients):

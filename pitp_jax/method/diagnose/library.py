@@ -7,7 +7,7 @@ may have several forms. `slots` are the core's three coefficients, then the para
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 
@@ -234,7 +234,8 @@ def _starts(s: Scale) -> Iterator[tuple]:
 
 _BY_KEY = {spec.key: spec for spec in (*CATALOGUE, TERM, *FAULTS)}
 # only the names of these starts are used, not their sizes
-_UNIT = Scale(**dict.fromkeys(Scale.__dataclass_fields__, 1.0) | {"session": 9.0, "rates": (1.0, 1.0)})
+_ONES: dict[str, Any] = dict.fromkeys(Scale.__dataclass_fields__, 1.0)
+_UNIT = Scale(**_ONES | {"session": 9.0, "rates": (1.0, 1.0)})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
 # the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
@@ -253,6 +254,7 @@ SHAPE = np.array([False] * 3 + [p.off is None for p in _NUMBERS])
 FIXED = np.array([False] * 3 + [p.fixed for p in _NUMBERS])
 _ENDS = np.cumsum([3, *(len(r.parameters) for r in ROWS)])
 PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1:], strict=False)}
+(OFFSET,) = slots_of_row(_BY_KEY["voltage_offset: constant"])
 # effects behind the core of a linear model
 (DELAY,), (LAG,), (FILTER, FILTER_ZETA) = (
     slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")

@@ -10,13 +10,13 @@ from ..model.model import Model
 from .evidence import probability
 from .fit import Fit
 from .gap import closed, interval, percent, spans
-from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, effects_of, family
+from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, OFFSET, effects_of, family
 from .search import Search
 
 _BLOCKS = 30  # of all records together; errors within one are correlated
 _LEAST = 1e-10  # of the largest eigenvalue: below it, numerical slopes hold no information
 _LOST = 0.01  # of a parameter, in directions without information: above it the parameter is not determined
-_PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter"}  # as the page names them
+_PLAIN = {DELAY: "delay", LAG: "lag", FILTER: "filter", OFFSET: "input offset"}  # as the page names them
 
 
 @dataclass(frozen=True)

@@ -28,6 +28,7 @@ from .library import (
     INDEX,
     LAG,
     LONE,
+    OFFSET,
     ROWS,
     SHIFT,
     Form,
@@ -107,6 +108,8 @@ class Search:
         self._climbed: set[tuple[str, ...]] = set()  # a front's effects and the added one: fitted before
         # parts of the nominal's linear model that exist at all
         self.core = tuple(k for k in (*CORE, DELAY, LAG, FILTER) if case.nominal[INDEX[k]] > 0)
+        # a plant without a spring is identified with the offset of its input
+        self.core += tuple(k for k in (OFFSET,) if refit and case.nominal[INDEX[k]])
         # A delay shorter than one (thinned) sample belongs to the hold. A longer one is treated as an effect, not as a
         # changed coefficient.
         short = not refit and case.nominal[INDEX[DELAY]] < case.dt
@@ -139,7 +142,7 @@ class Search:
             return False
         # in a refit these parameters of the linear model are free in every set
         free = {"gain", *(["mass"] if mass else []), *(["delay"] if DELAY in self.core else [])}
-        return not (self.refit and spec.moves in free)
+        return not (self.refit and spec.moves in free) and not (OFFSET in self.core and form.name == "voltage_offset")
 
     def weigh(self, rows: Sequence[np.ndarray]) -> Evidence:
         """Summarise out-of-fold residuals as evidence."""
