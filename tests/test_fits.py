@@ -318,3 +318,16 @@ def test_a_returned_model_takes_steps_that_its_friction_can_follow():
     records = [pitp.Record("r", time, drive, y)]
     made, error = stable(steep, records, np.inf)
     assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(error)
+
+
+def test_a_held_input_is_held_at_the_rate_of_the_recordings(linear):
+    """A nominal of 50 Hz beside recordings of 200 Hz: half a sample of the delay is theirs, so only noise is left."""
+    held = replace(linear(hz=2.5, dt=0.02, hold="zoh"), substeps=4)
+    volts = 300 * (1 - np.cos(2 * np.pi * (0.2 + 0.5 * TIME) * TIME))
+    x = model_runs(held, volts[None], 5e-3, np.asarray(rest_state(held))[None])[1][0] * held.scales.state[0]
+    noise = 1e-3 * np.std(x)
+    rngs = [np.random.default_rng(k) for k in range(4)]
+    records = [pitp.Record(f"r{k}", 5e-3 * np.arange(len(x)), volts, x + noise * g.standard_normal(len(x)))
+               for k, g in enumerate(rngs)]  # fmt: skip
+    search = Search(build_case(held, records), False)
+    assert search.given.rms * held.scales.state[0] < 1.2 * noise

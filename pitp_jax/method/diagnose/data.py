@@ -149,7 +149,9 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
     Raises:
         BadInput: a nominal that diverges on a record.
     """
-    model = at_rate(model, records[0].dt)
+    model, dt = at_rate(model, records[0].dt), records[0].dt
+    # an input held between samples is held at this rate: half a sample of it belongs to the delay
+    model = replace(model, domain=replace(model.domain, dt=dt))
     # a single record has no earlier one
     known = len(records) > 1 and session_clock(records)
     _, _, begun = begin(model, records, known)
@@ -183,8 +185,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
-    dt = records[0].dt * k
-    simulator = Simulator(tuple(drives), model, others, nominal, steps_a_sample(model, others, dt))
+    simulator = Simulator(tuple(drives), model, others, nominal, steps_a_sample(model, others, dt * k))
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
 
 

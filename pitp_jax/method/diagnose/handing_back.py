@@ -61,7 +61,7 @@ def hand_back(
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
             continue
         # in the package's own parts
-        made, added = model_of(search.case.nominal, h.fit.slots, model, search.scale)
+        made, added = model_of(search.case.nominal, h.fit.slots, search.case.model, search.scale)
         made = replace(made, domain=made.domain.driven_by(records))
         made, after = stable(made, records, before)
         if after < before and is_bounded(made, records) and harms_none(model, made, records):
