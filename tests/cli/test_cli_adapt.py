@@ -68,8 +68,8 @@ def test_factors_that_may_be_one_are_marked(days, capsys):
     model = load(days / "m")
     print_adaptation(Adaptation(model, "adapted", changed, 2.0, 0.2, True, 0.1))
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert "unchanged" not in lines["stiffness"] and "unchanged" in lines["damping"]
-    assert "now 4.4 ms (4.2 to 4.6), unchanged" in lines["electrode_tau"]
+    assert "though 1" not in lines["stiffness"] and "applied, though 1 lies within" in lines["damping"]
+    assert "now 4.4 ms (4.2 to 4.6), applied, though 1" in lines["electrode_tau"]
 
 
 def test_info_reports_the_learned_lag_of_the_electrode(days, call, tmp_path):
