@@ -193,7 +193,8 @@ def page(results: dict) -> str:
         f"are tried on the first {100 * SPLIT:.0f} % of every training recording and judged on the rest. The best way "
         "is repeated with all of the training data, and its free run is compared with the official test recordings "
         f"once. Each set may use {BUDGET:.0f} CPU seconds. No option was tuned for a set. The "
-        "published errors are those of their authors and were not repeated. [The figures](figures.md) have what a "
+        "published errors are those of their authors and were not repeated. On a machine with other work a diagnosis "
+        "takes more of the budget, and a way that comes later is not tried. [The figures](figures.md) have what a "
         "training without a limit of time reaches on the Silverbox.", "",
         "| data | error on the test | NRMSE (%) | goal | best published | way | CPU s |",
         "|---|---|---|---|---|---|---|",
