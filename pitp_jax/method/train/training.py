@@ -286,9 +286,8 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, model, data.equation, *box_rate, sub, batch=settings.batch,
-                width=settings.huber, penalty=settings.penalty, dropout=settings.encoder != "compact",
-            )  # fmt: skip
+                params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
+            )
             physics, constraint, count = float(physics), float(constraint), count + 1
             if not np.isfinite(physics + constraint):
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
@@ -303,6 +302,12 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         )
         if best > (1 - settings.tolerance) * at_stage:
             return
+
+
+def _in_an_epoch(settings: Settings) -> dict:
+    """Return the settings on which the compiled program of an epoch depends."""
+    dropout = settings.encoder != "compact"
+    return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 
 @jit
