@@ -177,7 +177,7 @@ TRAINED = {"cone100": ((1.0, 4.0, 8.0), 2.7, 3.0), "roll": ((10.0, 50.0, 90.0), 
 
 
 def figures_of(name: str) -> dict:
-    """Coefficients of a plant's nominal; voltages for a wanted motion; a free run of a quickly trained model."""
+    """Coefficients of a plant's nominal; the motion under a planned voltage; a free run of a quickly trained model."""
     plant = pitp.plant(name)
     seconds, top, volts = SWEEPS[name]
     sweep = pitp.excitation.sweep(0.01, top, seconds, plant.rate_hz, volts, volts)
@@ -194,9 +194,17 @@ def figures_of(name: str) -> dict:
     settings = pitp.Settings(width=4, memories=2, epochs=2, stages=1, refine_steps=8)
     trained = pitp.train(linear, list(map(sine, frequencies)), settings=settings, key=jax.random.key(41)).model
     (run,) = pitp.predict(trained, [sine(held_out)])
-    wanted = pitp.Target(time[: len(time) // 3], 0.5 * run.displacement[: len(time) // 3])
     made["trained"] = few(run.displacement, 6)
-    return made | {"voltage": few(pitp.feedforward(linear, wanted).voltage, 6)}
+    if name == "roll":  # its target is at a limit, where the plan moves by 0.4 % of range for 1e-12 of the target
+        return made
+    (reached,) = pitp.predict(linear, [sine(held_out)])
+    wanted = pitp.Target(time[: len(time) // 3], 0.5 * reached.displacement[: len(time) // 3])
+    return made | {"tracked": few(tracked(linear, wanted, 1 / plant.rate_hz), 6)}
+
+
+def tracked(linear, wanted: pitp.Target, dt: float) -> np.ndarray:
+    """The motion of a nominal under the voltage that is planned for a target."""
+    return pitp.rollout(linear, pitp.feedforward(linear, wanted).voltage, dt, begins="rest")
 
 
 def figures(_: Path) -> dict[str, Callable[[], dict]]:
