@@ -372,6 +372,7 @@ _SPECIAL = {
     "reduce_and": _reduced("and"), "reduce_or": _reduced("or"), "dot_general": _product, "scatter": _scattered,
     "scatter-add": _scattered, "iota": _count, "scan": _scanned, "while": _repeated,
     "square": _written_as(lambda make, a: make("mul", a, a)),
+    "one_minus_square": _written_as(lambda make, a: make("sub", 1.0, make("mul", a, a))),
     "logistic": _written_as(lambda make, a: make("div", 1.0, make("add", 1.0, make("exp", make("neg", a))))),
     "rsqrt": _written_as(lambda make, a: make("div", 1.0, make("sqrt", a))),
     "add_any": _written_as(lambda make, a, b: make("add", a, b)),
