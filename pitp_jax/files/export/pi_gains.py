@@ -189,8 +189,8 @@ def operating_points(model: Model, dt: float) -> tuple[list[Plant], list[float]]
     """
     late = total_delay(model.effects)
     # held by dry friction or within its play a machine does not respond: the loop is tuned for the one that slides
-    still = tuple(e for e in model.effects if e.delays or e.spec.resolved or e.name == "backlash")
-    model = replace(model, effects=tuple(e for e in model.effects if e not in still))
+    still = [e.delays or e.spec.resolved or e.name == "backlash" for e in model.effects]
+    model = replace(model, effects=tuple(e for e, s in zip(model.effects, still, strict=True) if not s))
     forward = steps.predict(model, dt, held=True)
     square, way = model.input_map.one_sided, float(sign(model))
     points, stiffness = [], []

@@ -8,19 +8,16 @@ parameters.
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import NamedTuple
 
-import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from ...common.errors import BadInput
 from ..fit.factors import Factors, moved
 from ..fit.minimise import Normal, minimise
 from ..model.model import Model
-from ..model.programs import in_double, jit
+from ..model.programs import double_on_cpu, in_double, jit
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
 from ..simulate.beginnings import settled_states
@@ -84,9 +81,7 @@ def session(
     return Session(voltage, target, weight, half, np.asarray(starts), begins, loose, floor, records[0].dt)
 
 
-@jit
-def _moved(model: Model, factors: Factors, z: Float[Array, " numbers"], dt: float) -> Model:
-    return moved(model, factors, z, dt)
+_moved = jit(moved)  # in every fit many times
 
 
 class Fit(NamedTuple):
@@ -114,19 +109,17 @@ class Problem:
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Simulate rows of (parameters z, shift of initial states); return scaled readings, (rows, records, T)."""
         s, records, rows = self.seen, len(self.seen.voltage), len(z)
-        with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+        with double_on_cpu():
             model = in_double(self.model)
             models = Models.of([_moved(model, self.factors, jnp.asarray(one), s.dt) for one in z])
-        many, start = replace(models, numbers=np.repeat(models.numbers, records, 0)), np.tile(s.start, (rows, 1, 1))
+        many, start = models.of_runs(np.repeat(np.arange(rows), records)), np.tile(s.start, (rows, 1, 1))
         if self.moving:
             start[:, self.moving] += shift.reshape(rows, len(self.moving), -1)
         start, voltage = start.reshape(rows * records, -1), np.tile(s.voltage, (rows, 1))
         held = np.flatnonzero(np.tile([b == "held" for b in s.begins], rows))
         if len(held):
             # a softer actuator is held further out: from the old equilibrium its run would start with a transient
-            settled = settled_states(
-                replace(many, numbers=many.numbers[held]), voltage[held, 0], s.dt, np.zeros(len(held))
-            )
+            settled = settled_states(many.of_runs(held), voltage[held, 0], s.dt, np.zeros(len(held)))
             start[held] = np.where(np.isfinite(settled), settled, start[held])
         return model_runs(many, voltage, s.dt, start)[1].reshape(rows, records, -1)
 

@@ -12,12 +12,9 @@ of each record are removed.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...common.errors import BadInput
-from ..model.drive import DirectDrive
 from ..model.model import Model
 from ..model.substeps import substeps
 from ..signal.initial_state import aligned, noise_std
@@ -25,6 +22,7 @@ from ..signal.preprocess import force_band
 from ..signal.record import Record
 from ..signal.reduced import centred_means, fastest_hz, samples_before
 from ..signal.sets import session_clock
+from ..simulate.model_runs import film_of
 from ..simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
@@ -167,7 +165,8 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
     for r, b, reached in zip(turned, begun, far, strict=True):
         rest, held = b.begins == "rest", model.hold == "zoh"
         first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
-        voltage = _behind_electrode(model, r, rest)
+        start = np.full((1, model.order), float(not rest))
+        voltage = film_of(replace(model, effects=()), r.voltage[None], r.dt, start)[0]  # behind the electrode's lag
         film = _film(voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
         force = ramped(voltage, held) if square else voltage
         x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
@@ -187,14 +186,6 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
     simulator = Simulator(tuple(drives), model, others, nominal, steps_a_sample(model, others, dt * k))
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
-
-
-def _behind_electrode(model: Model, record: Record, rest: bool) -> np.ndarray:
-    """Return the voltage of the film (V), behind the lag of the nominal's electrode."""
-    if isinstance(model.drive, DirectDrive):
-        return record.voltage
-    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
-        return np.asarray(model.drive.film(jnp.asarray(record.voltage), record.dt, jnp.asarray(rest)))
 
 
 def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest: bool, first: float) -> Film:

@@ -108,11 +108,8 @@ def is_steady(model: Model, records: Sequence[Record]) -> bool:
     """
     start = np.asarray(rest_state(model), np.float64)
     shifted = np.stack([start, start + _SHIFT * np.eye(len(start))[0]])
-    for r in records:
-        x = model_runs(model, np.tile(r.voltage, (2, 1)), r.dt, shifted)[1]
-        if not np.abs(x[1] - x[0]).max() < _GROWN * _SHIFT:
-            return False
-    return True
+    runs = (model_runs(model, np.tile(r.voltage, (2, 1)), r.dt, shifted)[1] for r in records)
+    return all(np.abs(np.diff(x, axis=0)).max() < _GROWN * _SHIFT for x in runs)
 
 
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:

@@ -114,16 +114,11 @@ def _lags(model: Model) -> Array:
     return memory.log_tau
 
 
-def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers *rows"], dt: float) -> Model:
-    """Return the model changed by z; with several columns of z, its coefficients have as many columns.
-
-    `dt`: sampling interval of the records, s.
-    """
-    dtype = model.coefficients.dtype
-    by = {name: jnp.asarray(row, dtype) for name, row in zip(factors.names, z, strict=True)}
-    scale = jnp.exp(jnp.stack([by[n] for n in factors.names[: factors.tokens]]))
-    columns = model.coefficients.reshape(-1, *[1] * (scale.ndim - 1))
-    model = eqx.tree_at(lambda m: m.coefficients, model, columns * scale)
+def moved(model: Model, factors: Factors, z: Float[np.ndarray | Array, " numbers"], dt: float) -> Model:
+    """Return the model changed by z; `dt`: sampling interval of the records, s."""
+    z = jnp.asarray(z, model.coefficients.dtype)
+    by = dict(zip(factors.names, z, strict=True))
+    model = eqx.tree_at(lambda m: m.coefficients, model, model.coefficients * jnp.exp(z[: factors.tokens]))
     creep = by.get("creep", jnp.zeros_like(by["stiffness"]))
     if not isinstance(plain(model.encoder), ConstantEncoder):
         model = eqx.tree_at(lambda m: m.encoder, model, _encoder(model, factors, by, creep))
@@ -142,12 +137,11 @@ def moved(model: Model, factors: Factors, z: np.ndarray | Float[Array, "numbers 
 
 def _encoder(model: Model, factors: Factors, by: dict[str, Array], creep: Array) -> AdaptedEncoder:
     """Wrap the encoder for an adaptation; an encoder that is already adapted is adapted further."""
-    outlasted = jnp.asarray(factors.outlasted, creep.dtype).reshape(-1, *[1] * creep.ndim)
-    offset, lags, tilt = jnp.exp(by["stiffness"]), jnp.exp(outlasted * creep), jnp.stack([by[n] for n in TILTS])
+    lags = jnp.exp(jnp.asarray(factors.outlasted, creep.dtype) * creep)
+    offset, tilt = jnp.exp(by["stiffness"]), jnp.stack([by[n] for n in TILTS])
     own, reach = model.encoder, factors.reach
     if isinstance(own, AdaptedEncoder):
-        offset, lags = own.offset * offset, own.creep.reshape(outlasted.shape) * lags
-        tilt, reach = own.tilt.reshape(2, *[1] * creep.ndim) + tilt, own.reach
+        offset, lags, tilt, reach = own.offset * offset, own.creep * lags, own.tilt + tilt, own.reach
     return AdaptedEncoder(plain(own), offset, lags, tilt, reach)
 
 

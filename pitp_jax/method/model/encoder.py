@@ -242,9 +242,9 @@ class AdaptedEncoder(AbstractEncoder):
     """
 
     inner: AbstractEncoder
-    offset: Float[Array, "*rows"]
-    creep: Float[Array, "lags *rows"]
-    tilt: Float[Array, "two *rows"]
+    offset: Float[Array, ""]
+    creep: Float[Array, " lags"]
+    tilt: Float[Array, "2"]
     reach: ConstantArray = eqx.field(converter=constant_array)
 
     def __call__(self, features, *, key=None):

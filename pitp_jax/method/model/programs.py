@@ -5,7 +5,8 @@ Arrays of a model (weights) and its constants (scales, offsets, its domain) are 
 every program (`Fitted.origin`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -65,6 +66,13 @@ def signal(values, dtype, name: str) -> Array:
     if array.ndim != 1:
         raise BadInput(f"{name} has shape {array.shape}: give one recording, shape (time,), and use jax.vmap for more")
     return array
+
+
+@contextmanager
+def double_on_cpu() -> Iterator[None]:
+    """Compute in float64 on the CPU, whatever JAX's defaults are."""
+    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+        yield
 
 
 def in_double(tree: T) -> T:

@@ -70,10 +70,7 @@ def rows_rollout(
     start: Float[Array, "records state"],
     unroll: int | None = None,
 ) -> Float[Array, "records time state"]:
-    """Simulate all records from film voltages; coefficients may differ between records.
-
-    The tables then have a last axis for the records. `unroll`: samples per iteration, by default `steps_at_once`.
-    """
+    """Simulate all records from film voltages; `unroll`: samples per iteration, by default `steps_at_once`."""
     # records last, because a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
     h, constant, logits = dt / model.substeps, motion_of(model), model.encoder.over()

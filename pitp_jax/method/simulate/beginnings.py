@@ -38,7 +38,8 @@ def settled_states(
     """
     models, low, high = models_of(model), np.full(len(volts), -_FAR), np.full(len(volts), _FAR)
     exists, first = np.full(len(volts), True), models[0]
-    many, by_grid = [np.repeat(a, _GRID) for a in (volts, ages)], models.repeated(_GRID)
+    runs = np.repeat(np.arange(len(volts)), _GRID)
+    many, by_grid = (volts[runs], ages[runs]), models.of_runs(runs)
     stages = np.broadcast_to(many[0][:, None, None], (len(many[0]), 2, 2 * first.substeps + 1))
     # Nested grids instead of Newton: a snapping film has several equilibria, and the one nearest to 0 is found.
     for _ in range(_ROUNDS):

@@ -14,6 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
+from ..model.programs import double_on_cpu
 from .compiled.kernel import kernel
 
 BLOCK, CHUNK = 256, 512  # runs at once, time steps of a call: few programs, and the working memory
@@ -58,7 +59,7 @@ def free_runs(
 
 def scanned_runs(step: Step, parameters, start, inputs, column) -> Float[np.ndarray, "runs n o"]:
     """Compute `free_runs` by `jax.lax.scan`, in blocks of runs."""
-    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+    with double_on_cpu():
         one = jax.eval_shape(step, *(jnp.asarray(a) for a in (parameters[0], start[0], inputs[0, 0])))[1]
         outputs = np.empty((len(column), inputs.shape[1], int(np.prod(one.shape))))
         for first in range(0, len(column), BLOCK):

@@ -17,7 +17,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from ..model.constants import as_arguments
 from ..model.drive import DirectDrive
@@ -92,9 +92,9 @@ class Models:
         structures, numbers = zip(*map(taken_apart, models), strict=True)
         return cls(structures[0], np.stack(numbers))
 
-    def repeated(self, times: int) -> "Models":
-        """Return every model `times` times in a row; one for all runs stays one."""
-        return self if len(self.numbers) == 1 else Models(self.structure, np.repeat(self.numbers, times, 0))
+    def of_runs(self, runs: Int[np.ndarray, " chosen"]) -> "Models":
+        """Return the models of these runs; one for all runs stays one."""
+        return self if len(self.numbers) == 1 else Models(self.structure, self.numbers[runs])
 
     def __getitem__(self, run: int) -> Model:
         """Return the model of a run."""

@@ -15,11 +15,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 from threading import Lock
 
-import jax
 import numpy as np
 from jaxtyping import Float
 
 from ....common.errors import BadInput
+from ...model.programs import double_on_cpu
 from . import objects
 from .identity import identity
 from .split import Split, split
@@ -111,7 +111,7 @@ def _built(step: Callable, sizes: tuple, width: int, equal: bool) -> Kernel | No
 
 @lru_cache(64)
 def _split(step: Callable, parameters: int, states: int, inputs: tuple[int, ...]) -> Split:
-    with jax.enable_x64(True), jax.default_device(jax.local_devices(backend="cpu")[0]):
+    with double_on_cpu():
         return split(step, parameters, states, inputs)
 
 
