@@ -104,7 +104,7 @@ class Problem:
     def __init__(self, model: Model, factors: Factors, seen: Session, level: float):
         self.model, self.factors, self.seen, self.level = model, factors, seen, level
         self.moving = [k for k, b in enumerate(seen.begins) if b == "moving"]
-        self.shifts = seen.start.shape[1] if self.moving else 0
+        self.shifts = len(self.moving) * seen.start.shape[1]
 
     def readings(self, z: np.ndarray, shift: np.ndarray) -> np.ndarray:
         """Simulate rows of (parameters z, shift of initial states); return scaled readings, (rows, records, T)."""
@@ -134,14 +134,14 @@ class Problem:
         """
         s, names = self.seen, self.factors.names
         axis, gain = self.factors.direction(names[min(2, self.factors.tokens - 1)]), self.factors.direction("gain")
-        z, want, guesses = _RESONANCES[:, None] * axis, s.weight * s.target, []
-        y = self.readings(z, np.zeros((len(z), len(self.moving) * self.shifts)))
+        z, want = _RESONANCES[:, None] * axis, s.weight * s.target
         # a diverged run gets a large error, so that it is never chosen
-        for here, run in zip(z, s.weight * np.clip(np.nan_to_num(y, nan=FAR), -FAR, FAR), strict=True):
-            # not below a half, because a run with a wrong resonance fits best with almost no gain
-            ratio = np.clip((run * want).sum() / max((run * run).sum(), 1e-300), 0.5, 2.0)
-            guesses.append((float(((ratio * run - want) ** 2).sum()), here + np.log(ratio) * gain))
-        return min(guesses, key=lambda g: g[0])[1]
+        y = np.nan_to_num(self.readings(z, np.zeros((len(z), self.shifts))), nan=FAR)
+        runs = s.weight * np.clip(y, -FAR, FAR)
+        # not below a half, because a run with a wrong resonance fits best with almost no gain
+        ratios = np.clip((runs * want).sum((1, 2)) / np.maximum((runs**2).sum((1, 2)), 1e-300), 0.5, 2.0)
+        best = int(np.argmin(((ratios[:, None, None] * runs - want) ** 2).sum((1, 2))))
+        return z[best] + np.log(ratios[best]) * gain
 
     def fit(
         self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
@@ -156,8 +156,7 @@ class Problem:
             first: q to start from; default 0.
             fixed: where q is 0.
         """
-        s, count, records = self.seen, free.shape[1], len(self.seen.voltage)
-        shifts = len(self.moving) * self.shifts
+        s, count, records, shifts = self.seen, free.shape[1], len(self.seen.voltage), self.shifts
         scale, target = (s.weight * weight).reshape(-1), s.target.reshape(-1)
         # residuals are far from independent: a recording counts as 100 values of the model's own level
         unit = np.sqrt(_INDEPENDENT / max((scale > 0).sum(), 1)) / self.level
