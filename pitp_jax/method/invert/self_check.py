@@ -2,15 +2,11 @@
 
 from dataclasses import dataclass
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ...common.metrics import e_rms_percent, rmse
 from ..model.model import Model
-from ..model.programs import in_double
-from ..simulate import ports
-from ..simulate.batched_rollout import fast_rollout
+from ..simulate.model_runs import model_runs
 from .limits import Limits
 from .motion import Motion
 
@@ -26,10 +22,8 @@ class Played:
 
 def play(model: Model, voltage: np.ndarray, dt: float, start) -> Played:
     """Simulate a voltage (V) in float64 from a scaled state. Float32 derivatives would be wrong by several volts."""
-    with jax.enable_x64(True):
-        model, start = in_double((model, jnp.asarray(start)))
-        states = fast_rollout(model, jnp.asarray(voltage[None], jnp.float64), dt, start[None])[0]
-        return Played(voltage, np.asarray(states), np.asarray(ports.readings(model, states)) * model.scales.state[0])
+    states, reading = model_runs(model, voltage[None], dt, np.asarray(start)[None])
+    return Played(voltage, states[0], reading[0] * model.scales.state[0])
 
 
 def missed(played: Played, motion: Motion) -> float:
