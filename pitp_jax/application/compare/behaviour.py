@@ -198,7 +198,8 @@ def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, units: Units) -> l
     for j, (what, name, factor, unit) in enumerate(quantities):
         values = [factor * float(getattr(s, name)[k]) for s in (one, two)]
         if np.isfinite(values).any():
-            errors = [None if s.errors[j] is None else s.errors[j] * v for s, v in zip((one, two), values, strict=True)]
+            known = [(s.errors[j], v) for s, v in zip((one, two), values, strict=True)]
+            errors = [None if e is None else e * v for e, v in known]
             here, there = (v if np.isfinite(v) else None for v in values)
             rows.append(measured(f"{what} {at}", here, there, unit, (errors[0], errors[1])))
     return rows

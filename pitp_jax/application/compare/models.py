@@ -46,9 +46,9 @@ def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
                 continue
             for name, c in entry["changed"].items():
                 low, high = (float(end) - 1 for end in c["ci95"])
-                sides, interval = (1.0, float(c["factor"])), (low, high) if k else (-high, -low)
-                sides = sides if k else sides[::-1]
-                rows.append(Difference(f"{name}: factor found by adapt", *sides, "", interval, low > 0 or high < 0))
+                factor, what = float(c["factor"]), f"{name}: factor found by adapt"
+                here, there, interval = (1.0, factor, (low, high)) if k else (factor, 1.0, (-high, -low))
+                rows.append(Difference(what, here, there, "", interval, low > 0 or high < 0))
     return rows
 
 
@@ -66,13 +66,13 @@ def _modes(one: dict, two: dict) -> list[Difference]:
     loud = [
         min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
     ]
-    if None in loud:
+    here, there = loud
+    if here is None or there is None:
         return [stiffness]
-    hertz, damping = ([m[key] for m in loud if m] for key in ("natural_hz", "damping"))
     return [
         stiffness,
-        measured("frequency of the least damped mode", *hertz, "Hz", (None, None)),
-        measured("damping ratio of that mode", *damping, "", (None, None)),
+        measured("frequency of the least damped mode", here["natural_hz"], there["natural_hz"], "Hz", (None, None)),
+        measured("damping ratio of that mode", here["damping"], there["damping"], "", (None, None)),
     ]
 
 

@@ -34,12 +34,12 @@ def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, 
         rows = [row for pair in pairs.pairs for row in _outputs(pair, names[0])]
         return Comparison("records", names, tuple(rows), tuple(remarks), pairs)
     try:
-        models = [identify(records).model for records in (a, b)]
+        one, two = (identify(records).model for records in (a, b))
     except ComputationFailed as error:
         raise ComputationFailed(
             f"the sets have no command in common, and no linear model of one can be identified: {error}"
         ) from None
-    compared = compare_models(*models, names)
+    compared = compare_models(one, two, names)
     why = "The sets have no command in common, so linear models identified on each are compared."
     return replace(compared, kind="records", remarks=(why, *compared.remarks), pairs=pairs)
 

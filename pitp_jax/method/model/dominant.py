@@ -27,8 +27,8 @@ def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
     """Return the resonance frequency (rad/s) for coefficients a_0 ... a_n; 0 if all poles are integrators."""
     a = np.nan_to_num(a)  # a diverged model still gets a number; its runs show what is wrong
     roots = nonzero_poles(a)  # an integrator's pole has no damping ratio
-    damping = -roots.real / np.abs(roots)
-    pairs = roots[(roots.imag > 0) & (damping < _RINGS)]
+    damping = -np.real(roots) / np.abs(roots)
+    pairs = roots[(np.imag(roots) > 0) & (damping < _RINGS)]
     if len(pairs):
         slope = np.polyval(np.polyder(a[::-1]), pairs)
         return float(np.abs(pairs[np.argmin(np.abs(slope))]))
@@ -36,5 +36,4 @@ def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
     squares = np.roots(even[::-1] if len(roots) == len(a) - 1 else [1.0])  # without a spring the phase starts at -90
     # roots that are real but for rounding
     lags = np.sqrt(squares.real[(np.abs(squares.imag) <= 1e-9 * np.abs(squares)) & (squares.real > 0)])
-    corners = lags if len(lags) else np.abs(roots)
-    return float(corners.min()) if len(corners) else 0.0
+    return float(min(lags, default=min(np.abs(roots), default=0.0)))

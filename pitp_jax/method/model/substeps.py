@@ -21,8 +21,8 @@ def substeps(a: Float[np.ndarray, " tokens"], dt: float) -> int:
     """Return the number of Runge-Kutta steps per sample of `dt` (s) for the coefficients a_0 ... a_n."""
     poles = nonzero_poles(np.nan_to_num(a))
     size = np.abs(poles)
-    damping = np.maximum(-poles.real / size, _LEAST_DAMPING)
+    damping = np.maximum(-np.real(poles) / size, _LEAST_DAMPING)
     accurate = size * dt / np.minimum((240 * damping * ACCURACY) ** 0.25, _LARGEST)
     needed = np.maximum(np.minimum(accurate, _MOST), size * dt / _STABLE)
     # 1e-9: rounding must not add a step
-    return int(np.clip(np.ceil(needed.max(initial=1.0) - 1e-9), 1, 4096))
+    return int(min(np.ceil(needed.max(initial=1.0) - 1e-9), 4096))
