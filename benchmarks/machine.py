@@ -5,7 +5,9 @@ floor = max(operations / matrix rate, bytes / bandwidth)
 
 import os
 import platform
+import subprocess
 from collections.abc import Callable
+from datetime import UTC, datetime
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -19,16 +21,22 @@ _PACKAGES = ("pitp_jax", "jax", "equinox", "diffrax", "numpy", "scipy", "torch",
 
 
 def facts() -> dict:
-    """Processor, cores, devices and versions; the load says how much of the cores was left."""
+    """Processor, cores, devices, versions, date and commit; the load says how much of the cores was left."""
     found = {"python": platform.python_version(), "machine": platform.machine(), "processor": _processor(),
              "cores": len(os.sched_getaffinity(0)), "devices": [str(d) for d in jax.devices()],
-             "load": round(os.getloadavg()[0], 1)}  # fmt: skip
+             "load": round(os.getloadavg()[0], 1), "date": datetime.now(UTC).date().isoformat(),
+             "commit": _commit()}  # fmt: skip
     for name in _PACKAGES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:
             found[name] = None
     return found
+
+
+def _commit() -> str | None:
+    command = ["git", "-C", str(Path(__file__).parent), "rev-parse", "--short=8", "HEAD"]
+    return subprocess.run(command, capture_output=True, text=True).stdout.strip() or None
 
 
 def _processor() -> str:

@@ -10,7 +10,8 @@ import pytest
 from motions import DT, respond
 
 import pitp_jax as pitp
-from benchmarks.__main__ import duration, main, run, table, written
+from benchmarks.__main__ import main, run
+from benchmarks.blocks import duration, pages, table, written
 from benchmarks.clock import row, take_turns
 from benchmarks.machine import floor, operations
 from benchmarks.rows import ROWS
@@ -46,11 +47,17 @@ def test_durations(ms, text):
     assert duration(ms) == text
 
 
-def test_the_table_goes_between_its_marks():
-    text = "a\n<!-- benchmarks -->\nold\n<!-- end -->\nb\n"
-    assert written(text, "new", "f") == "a\n<!-- benchmarks -->\nnew\n<!-- end -->\nb\n"
-    with pytest.raises(SystemExit, match="f: no lines"):
-        written("a\n", "new", "f")
+def test_a_block_goes_between_its_marks():
+    text = "a\n<!-- it -->\nold\n<!-- end -->\n<!-- that -->\nold\n<!-- end -->\nb\n"
+    assert written(text, "it", "new") == text.replace("old", "\nnew\n", 1)
+    with pytest.raises(ValueError, match="no lines <!-- other -->"):
+        written(text, "other", "new")
+
+
+def test_pages_have_the_figures_of_the_file():
+    """After a change of `figures.json`, run `python -m benchmarks --write`."""
+    for file, text in pages().items():
+        assert file.read_text(encoding="utf-8") == text
 
 
 def test_rows_and_unknown_ones(tmp_path):
@@ -62,10 +69,12 @@ def test_rows_and_unknown_ones(tmp_path):
 def test_table_and_file_keep_earlier_rows(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr("benchmarks.__main__.run", lambda name, seconds, _: {"skipped": f"{name} {seconds:g}"})
     file = tmp_path / "rows.json"
+    file.write_text('{"accuracy": 1}')
     main(["--only", "identify", "--json", str(file), "--seconds", "3"])
     main(["--only", "import,diagnose", "--json", str(file)])
-    assert json.loads(file.read_text()) == {"identify": {"skipped": "identify 3"}, "import": {"skipped": "import 10"},
-                                            "diagnose": {"skipped": "diagnose 10"}}  # fmt: skip
+    assert json.loads(file.read_text()) == {"accuracy": 1, "rows": {
+        "identify": {"skipped": "identify 3"}, "import": {"skipped": "import 10"},
+        "diagnose": {"skipped": "diagnose 10"}}}  # fmt: skip
     printed = capsys.readouterr().out
     assert printed.count("skipped") == 4
     line = {"median_ms": 2.0, "p10_ms": 1.0, "p90_ms": 3.0, "compile_s": 0.5, "peer": "it", "peer_median_ms": 9.0,
