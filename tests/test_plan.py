@@ -66,6 +66,15 @@ def test_a_first_session_grows_then_sweeps_then_fills_and_repeats():
         assert r.go_on == pytest.approx(2e-3 * ratio**2, rel=0.1)
 
 
+@pytest.mark.parametrize("duration", [90.0, 125.0, 250.0])
+@pytest.mark.parametrize("rig", [{"band": (0.1, 20.0)}, {"band": (0.5, 20.0), "max_slew": 1e5}, {"band": (2.0, 9.0)}])
+def test_a_first_session_takes_the_duration_asked_for(rig, duration):
+    found = pitp.plan(max_voltage=6000.0, rate=500.0, duration=duration, **rig)
+    first, *_, again = [r for r in found.recordings if r.kind == "sine"]
+    assert found.seconds == pytest.approx(duration, rel=5e-3)
+    np.testing.assert_array_equal(first.voltage, again.voltage)
+
+
 def test_no_drive_exceeds_the_stroke_with_half_the_damping(linear, bounded):
     """By an independent integration of the equation, at a resonance the band holds."""
     model = bounded(linear(2, 5.0, 0.04), high=1000.0, slew=1e5)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from cli_cases import refused, tree, truth
 
+from pitp_jax.application.commands.compare import _names
 from pitp_jax.files.model_file import model_file
 
 
@@ -44,3 +45,16 @@ def test_what_is_not_of_one_kind_is_refused(call, bench, tmp_path):
     model_file.save(tmp_path / "m", truth())
     assert "give two of the same kind" in refused(call("compare", tmp_path / "m", bench / "records"))
     assert f"pitp compare {tmp_path / 'm'} {tmp_path / 'n'}" in refused(call("info", tmp_path / "m", tmp_path / "n"))
+
+
+@pytest.mark.parametrize(
+    ("paths", "names"),
+    [
+        (("mon/rig/m", "tue/rig/m"), ["mon/rig/m", "tue/rig/m"]),
+        (("mon/rig/m", "mon/cell/m"), ["rig/m", "cell/m"]),
+        (("mon/rig/m", "mon/rig/n"), ["m", "n"]),
+        (("mon/rig/m", "mon/rig/../rig/m"), ["m", "m"]),
+    ],
+)
+def test_two_files_of_one_name_are_told_apart_by_the_folders_that_differ(paths, names, tmp_path):
+    assert list(_names(*(str(tmp_path / path) for path in paths))) == names

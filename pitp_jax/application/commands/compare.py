@@ -44,9 +44,10 @@ def _opened(path: str, reading: dict):
 
 
 def _names(a: str, b: str) -> tuple[str, str]:
-    """Return two short names for two paths: file or folder names, or the whole paths if those are equal."""
-    short = (Path(a).name, Path(b).name)
-    return short if short[0] != short[1] and all(short) else (a, b)
+    """Return the ends of two paths, as short as tells them apart; file names if both are one file."""
+    one, two = (Path(p).resolve().parts for p in (a, b))
+    size = next((k for k in range(1, 1 + max(len(one), len(two))) if one[-k:] != two[-k:]), 1)
+    return Path(*one[-size:]).as_posix(), Path(*two[-size:]).as_posix()
 
 
 def _write(comparison: Comparison, folder: Path) -> None:

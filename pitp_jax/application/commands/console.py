@@ -27,13 +27,6 @@ def print_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
         print("  ".join(cells).rstrip())
 
 
-def duration(seconds: float) -> str:
-    """Write a duration (s) in readable units; `?` if unknown."""
-    if not 0 <= seconds < 1e6:  # 12 days: an estimate from a stage that has hardly begun
-        return "?"
-    return f"{seconds:.0f} s" if seconds < 100 else f"{seconds / 60:.0f} min"
-
-
 class ProgressBar:
     """A progress bar for training: redrawn in place on a terminal, a line every few seconds otherwise."""
 
@@ -49,7 +42,7 @@ class ProgressBar:
         self._last, self._stage = now, progress.stage
         box = "" if progress.box is None else f"  box {progress.box:.3g}"
         text = f"{progress.stage}: {progress.step}/{progress.steps}{box}  loss {progress.loss:.3g}"
-        text += f"  best {progress.best:.3g}  at most about {duration(progress.seconds_left)} left in this phase"
+        text += f"  best {progress.best:.3g}"
         if not self._tty:
             say(text)
             return

@@ -61,7 +61,7 @@ def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, 
     limits = replace(limits, high=min(limits.high, raised[0]), slew=min(limits.slew, raised[1]))
     purpose = "for the linear model: resonance, damping, order"
     whole = Planned("sweep", "sweep", purpose, *_swept(1.0, swept, limits), limits.rest)
-    filling = space_filling_set(limits, (duration - sum(part.values())) * FEWEST / (FEWEST + 1), seed)
+    filling = space_filling_set(limits, duration - sum(part.values()), seed, repeats=1)
     again = [replace(r, purpose=f"the same as {r.name}: shows noise and drift") for r in filling[:1]]
     return (*grown, whole, *filling, *again)
 
@@ -95,14 +95,16 @@ def _swept(level: float, seconds: float, limits: Limits):
     return time, within(top, swing * wave, limits)
 
 
-def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:
+def space_filling_set(limits: Limits, duration: float, seed: int, repeats: int = 0) -> tuple[Planned, ...]:
     """Plan inputs that fill frequency, lowest and highest voltage evenly, those of the smallest peak first.
+
+    They leave as much of the duration as `repeats` further recordings of their length take.
 
     Raises:
         BadInput: a duration shorter than one input.
     """
     # 1e-9: rounding must not cost a recording
-    count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)))
+    count = min(FEWEST, int(duration / limits.shortest * (1 + 1e-9)) - repeats)
     if count < 1:
         raise BadInput(
             f"--duration {duration:g} s is too short; two periods of {limits.band[0]:g} Hz and the ramps take "
@@ -110,7 +112,7 @@ def space_filling_set(limits: Limits, duration: float, seed: int) -> tuple[Plann
         )
     points = space_filling(count * POINTS, limits, seed)
     # Every count-th point: neighbours in a Sobol sequence are far apart, so that each recording gets a mixture.
-    drives = [drive(points[k::count], duration / count, limits) for k in range(count)]
+    drives = [drive(points[k::count], duration / (count + repeats), limits) for k in range(count)]
     return tuple(sorted(drives, key=lambda d: float(np.abs(d.voltage).max())))
 
 
