@@ -631,6 +631,11 @@ def test_structs_of_controldesk_and_simulink(tmp_path):
     signals = [{"Name": "HV (V)", "Data": VOLTAGE}, {"Name": "Laser (mm)", "Data": OUTPUT}]
     scipy.io.savemat(tmp_path / "a.mat", {"rec": {"X": {"Name": "Time (s)", "Data": TIME}, "Y": signals}})
     same(read(tmp_path / "a.mat")[0], VOLTAGE, OUTPUT * 1e-3)
+    # as ControlDesk writes it: the service that samples names the clock, and the units have their own fields
+    signals = [{"Name": n, "Data": v, "Unit": u} for n, v, u in (("Rig/HV", VOLTAGE, "V"), ("Rig/x", OUTPUT, "mm"))]
+    clock = {"Name": "HostService", "Data": 1e3 * TIME, "Unit": "ms"}
+    scipy.io.savemat(tmp_path / "c.mat", {"rec": {"X": clock, "Y": signals}})
+    same(read(tmp_path / "c.mat")[0], VOLTAGE, OUTPUT * 1e-3)
     signals = np.array([(VOLTAGE, "HV (V)"), (OUTPUT, "Laser (mm)")], [("values", object), ("label", object)])
     scipy.io.savemat(tmp_path / "b.mat", {"Scope": {"time": TIME, "signals": signals, "blockName": "rig/Scope"}})
     same(read(tmp_path / "b.mat")[0], VOLTAGE, OUTPUT * 1e-3)

@@ -54,11 +54,13 @@ def _fields(structs: np.ndarray, place: str = "") -> Iterator[tuple[str, np.ndar
     """Yield the fields of structs by name; data of ControlDesk and Simulink by the name stored beside them."""
     for k, one in enumerate(structs.reshape(-1)):
         fields = {f: np.asarray(one[f]) for f in structs.dtype.names or ()}
-        # X(k).Data beside X(k).Name: the name is a value, not a field
+        # X(k).Data beside X(k).Name and X(k).Unit: name and unit are values, not fields
         data = next((v for f, v in fields.items() if f.lower() in ("data", "values") and v.dtype.kind in "fiu"), None)
-        names = [v for f, v in fields.items() if f.lower() in ("name", "label") and v.dtype.kind == "U" and v.size == 1]
-        if data is not None and names:
-            yield str(names[0].reshape(-1)[0]) or f"{place}[{k + 1}]", data
+        words = {f.lower(): str(v.item()) for f, v in fields.items() if v.dtype.kind == "U" and v.size == 1}
+        name = words.get("name", words.get("label"))
+        if data is not None and name is not None:
+            unit = f" ({words['unit']})" if words.get("unit") else ""
+            yield (name or f"{place}[{k + 1}]") + unit, data
             continue
         for f, v in fields.items():
             cells = v.reshape(-1) if v.dtype.kind == "O" else [v]  # structs in a cell, one by one
