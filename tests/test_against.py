@@ -244,23 +244,36 @@ def _moved(records, sign, command, output):
     ]
 
 
+def _asked_of_diagnosis(robot, monkeypatch):
+    """The simulator's model and the robot's recordings, with which the diagnosis would begin."""
+    asked = []
+
+    def diagnosed(model, records, **options):
+        asked.append((model, records))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(entry, "diagnose_model", diagnosed)
+    with pytest.raises(KeyboardInterrupt):
+        pitp.diagnose(robot, against=recordings())
+    return asked[0]
+
+
+@pytest.fixture(scope="module")
+def plain():
+    """The same of recordings without constants."""
+    with pytest.MonkeyPatch.context() as patch:
+        return _asked_of_diagnosis(recordings(A * [1.0, 1.2, 1.3], late=0.02), patch)
+
+
 @pytest.mark.parametrize(
     ("sign", "constants"),
     [(1, (0.0, 0.0)), (1, (np.pi, np.pi)), (-1, (np.pi, np.pi)), (1, (0.0, 3.0)), (1, (0.004, -0.003))],
 )
-def test_a_constant_of_the_log_is_no_distance(simulator, sign, constants, monkeypatch):
+def test_a_constant_of_the_log_is_no_distance(plain, sign, constants, monkeypatch):
     """Raw ticks and ticks less 2048: the same model of the simulator, the same recordings for the diagnosis."""
-    plain, asked = recordings(A * [1.0, 1.2, 1.3], late=0.02), {}
-
-    def diagnosed(model, records, **options):
-        asked["plain" if given is plain else "moved"] = model, records
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(entry, "diagnose_model", diagnosed)
-    for given in (plain, _moved(plain, sign, *constants)):
-        with pytest.raises(KeyboardInterrupt):
-            pitp.diagnose(given, against=recordings())
-    (model, records), (other, same) = asked["plain"], asked["moved"]
+    model, records = plain
+    moved = _moved(recordings(A * [1.0, 1.2, 1.3], late=0.02), sign, *constants)
+    other, same = _asked_of_diagnosis(moved, monkeypatch)
     np.testing.assert_allclose(other.physical_coefficients, model.physical_coefficients, rtol=1e-3)
     if max(map(abs, constants)) > 1:  # smaller ones are left to each recording's sensor offset
         for a, b in zip(records, same, strict=True):

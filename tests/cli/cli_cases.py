@@ -39,9 +39,10 @@ def write_record(path, voltage, displacement, units=("V", "m"), time=TIME):
     return path
 
 
-def truth(**changes):
+def truth(coefficients=COEFFICIENTS, **changes):
+    scale = 1e-3 * OMEGA ** np.arange(len(coefficients))
     model = linear_model(
-        COEFFICIENTS, input_map=SquareInput(), state_scale=1e-3 * OMEGA ** np.arange(3), force_scale=4e6,
+        coefficients, input_map=SquareInput(), state_scale=scale, force_scale=4e6,
         output=Output(), hold="foh", substeps=1, domain=Domain(0.002, (0.0, 2000.0), 5e4),
     )  # fmt: skip
     return Fitted(model, Origin("mm", "kV", **changes))

@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from cli_cases import TIME, motion, truth, write_record
+from cli_cases import COEFFICIENTS, TIME, motion, truth, write_record
 
 from pitp_jax.application.commands.main import main
 from pitp_jax.files.model_file.model_file import load, save
 from pitp_jax.method.diagnose.library import _UNIT, model_of, slots_of
-from pitp_jax.method.model.fitted import fitted_of
 
 STORED = Path(__file__).parents[1] / "files" / "models_0_2_0"
 
@@ -22,8 +21,8 @@ def run(*argv):
     assert main([str(a) for a in argv]) == 0, argv
 
 
-def identified(bench, out, order=2):
-    run("identify", bench / "records", "--order", order, "--no-delay", "--out", out)
+def identified(bench, out):
+    run("identify", bench / "records", "--order", 2, "--no-delay", "--out", out)
 
 
 def adapted(bench, out):
@@ -49,11 +48,8 @@ def diagnosed(bench, out, nominal=None, seconds=20):
 
 def of_another_order(bench, out):
     """What a diagnosis hands back of a nominal of order 1 with standard errors, where the machine has a mass."""
-    first = out.with_name("first")
-    identified(bench, first, order=1)
-    fitted = fitted_of(load(first))
-    assert len(fitted.origin.stderr) == 2
-    nominal: Any = fitted  # a model with its origin, where a model is asked for
+    # a model with its origin, where a model is asked for
+    nominal: Any = truth(COEFFICIENTS[:2], covariance=1e-4 * np.eye(2), stderr=tuple(1e-2 * COEFFICIENTS[:2]))
     slots = slots_of(nominal.model)[0]
     made, _ = model_of(slots, np.where(np.arange(len(slots)) == 2, 0.05, slots), nominal, _UNIT)
     assert made.order == 2
