@@ -37,15 +37,26 @@ def modules(package: str) -> tuple[list[str], list[str]]:
     return shaped, plain
 
 
-_forms: dict[type, str] = {}
+def _of_array(value):
+    return type(value), value.dtype, value.shape
 
 
-def _form(kind: type) -> str:
-    if issubclass(kind, np.ndarray | jax.Array | Tracer):
-        return "array"
-    if kind in (str, bool, int, type(None)):
-        return "value"
-    return "container" if kind in (tuple, list, dict) else "type"
+def _of_number(value):
+    return (int, value) if -16 < value < 16 else int
+
+
+def _of_value(value):
+    return type(value), value
+
+
+def _of_container(value):
+    if len(value) > 16:
+        raise LookupError
+    return (type(value), *map(told, value.items() if type(value) is dict else value))
+
+
+_ways = {int: _of_number, **dict.fromkeys((str, bool, type(None)), _of_value),
+         **dict.fromkeys((tuple, list, dict), _of_container)}  # fmt: skip
 
 
 def told(value):
@@ -55,16 +66,10 @@ def told(value):
         LookupError: a long container, of which beartype checks an item at random.
     """
     kind = type(value)
-    form = _forms.get(kind) or _forms.setdefault(kind, _form(kind))
-    if form == "array":
-        return kind, value.dtype, value.shape
-    if form == "value":
-        return (kind, value) if kind is not int or -16 < value < 16 else kind
-    if form == "container":
-        if len(value) > 16:
-            raise LookupError
-        return (kind, *map(told, value.items() if kind is dict else value))
-    return kind
+    way = _ways.get(kind)
+    if way is None:
+        way = _ways[kind] = _of_array if issubclass(kind, np.ndarray | jax.Array | Tracer) else type
+    return way(value)
 
 
 _checked = jaxtyping.jaxtyped
@@ -77,7 +82,7 @@ def remembering(fn=None, *, typechecker):
     checked = _checked(fn, typechecker=typechecker)
     if not inspect.isfunction(fn):
         return checked
-    seen, given = set(), []
+    seen, given = {}, []  # calls, each with its results
 
     def result(*_, **__):
         return given[-1]
@@ -91,22 +96,25 @@ def remembering(fn=None, *, typechecker):
         if jaxtyping.config.jaxtyping_disable:
             return fn(*args, **options)
         try:
-            key = (*map(told, args), told(options) if options else None)
-            is_new = key not in seen
+            # a str among the arguments is told with its type, so that it cannot be the name of an option
+            key = (*map(told, args), *options, *map(told, options.values()))
+            results = seen.get(key)
         except (LookupError, TypeError):
             return checked(*args, **options)
-        out = (checked if is_new else fn)(*args, **options)
+        out = (fn if results else checked)(*args, **options)
         try:
-            whole = (*key, told(out))
+            found = told(out)
         except LookupError:
-            whole = None
-        if not is_new and whole not in seen:
+            found = None
+        if not results:
+            seen[key] = {None, found}
+        elif found is None or found not in results:
             given.append(out)
             try:
                 of_result(*args, **options)
             finally:
                 given.pop()
-        seen.update({key, whole} - {None})
+            results.add(found)
         return out
 
     return call
