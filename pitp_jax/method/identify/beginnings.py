@@ -9,7 +9,7 @@ an offset or have their own, by the same criterion.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from ..model.input_map import INPUT_MAPS
 from ..numerics.coloured_noise import block_means, project, whitener
 from ..signal.excitation_kind import spread_over_kinds
-from ..signal.initial_state import Beginning, Begins, from_known, level_groups, noise_std, rest_level
+from ..signal.initial_state import Beginning, from_known, level_groups, noise_std, rest_level
 from ..signal.preprocess import force_band
 from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
@@ -52,13 +52,13 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     decided: list[Beginning] = []
     known = [r is b for r, b in zip(records, begun, strict=True)]
     for _ in range(_ROUNDS):
-        rows = [_columns(r, input_map, *poles) for r in begun]
-        zeros = _resting(begun, decided)
-        starts = [start_beside(r, input_map, *poles, z) for r, z in zip(begun, zeros, strict=True)]
+        # a record beside the offsets of the others that start at rest
+        zeros = [{b.zero for m, b in enumerate(decided) if b.begins == "rest" and m != k} for k in range(len(begun))]
+        starts = [start_beside(r, input_map, *poles, sorted(z)) for r, z in zip(begun, zeros, strict=True)]
         # a record whose first samples are missing is moving
         starts = [s if whole else replace(s, begins="moving") for s, whole in zip(starts, known, strict=True)]
-        kinds: list[tuple[Begins, float]] = [(s.begins, s.direction) for s in starts]
-        before, decided = decided, _with_zeros(begun, rows, kinds, clean)
+        fitted = [_fitted_zero(r, input_map, *poles, s) for r, s in zip(begun, starts, strict=True)]
+        before, decided = decided, _with_zeros(begun, starts, fitted, clean)
         if [(b.begins, b.direction, b.group) for b in before] == [(b.begins, b.direction, b.group) for b in decided]:
             break
         some = build_problem([begun[k] for k in chosen], input_map, [decided[k] for k in chosen])
@@ -73,30 +73,6 @@ def _only_noise(cost: float, records: Sequence[Record]) -> bool:
     """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
     return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
-
-
-@dataclass(frozen=True)
-class _Columns:
-    """Whitened block means of one record: output, simulated response, effect of a settled start, fitted columns."""
-
-    output: np.ndarray
-    driven: np.ndarray
-    held: np.ndarray
-    free: np.ndarray
-    one: np.ndarray
-
-    def residual(self, begins: Begins, direction: float) -> tuple[np.ndarray, float]:
-        """Return the whitened residual for an initial state and a sensor direction, and the fitted sensor offset."""
-        base = self.output - direction * (self.driven + (self.held if begins == "held" else 0.0))
-        columns = [self.one, self.free] if begins == "moving" else [self.one]
-        factors, rest = project(base, np.column_stack(columns))
-        return rest, float(factors[0])
-
-    def zero(self, begins: Begins, direction: float) -> tuple[float, float, int]:
-        """Return the fitted sensor offset (output unit), its weight (1 / variance), and the number of block means."""
-        residual, zero = self.residual(begins, direction)
-        alone = project(self.one, self.free)[1] if begins == "moving" else self.one
-        return zero, float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
@@ -164,24 +140,30 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     )
 
 
-def _columns(record: Record, input_map: str, logs: np.ndarray, gain: float) -> _Columns:
-    """Return block means of one record, whitened with the residual spectrum of the free initial state."""
-    square, dt = input_map == "square", record.dt
-    unit, settled = (
-        respond(logs, record.voltage, step=dt, square=square, hold="foh", settled=s) for s in (False, True)
-    )
-    held, (free, _) = settled - unit, coast(logs, record.samples, step=dt)
+def _fitted_zero(
+    record: Record, input_map: str, logs: np.ndarray, gain: float, start: Beginning
+) -> tuple[float, float, int]:
+    """Fit the sensor offset of a whole record that starts in this way, beside a linear model.
+
+    Returns:
+        the offset (output unit), its weight (1 / variance), and the number of block means.
+    """
+    dt, moving = record.dt, start.begins == "moving"
+    how = {"step": dt, "square": input_map == "square", "hold": "foh", "settled": start.begins == "held"}
+    free, _ = coast(logs, record.samples, step=dt)
     period = 2 * np.pi / np.exp(logs[1] / 2)
     size = int(np.clip(period / _PER_PERIOD / dt, 1, record.samples // 64))
-    y = np.where(record.observed, record.displacement, 0.0)
-    stacked = np.column_stack([y, gain * unit, gain * held, free, np.ones(len(y))])
+    run = respond(logs, record.voltage, **how)
+    rest = np.nan_to_num(record.displacement) - start.direction * gain * run
+    stacked = np.column_stack([rest, np.ones(len(rest)), free])
     means, share = block_means(stacked, record.observed.astype(float), size)
     means = means * np.sqrt(share)[:, None]
-    y, driven, one = means[:, 0], means[:, 1], means[:, -1:]
-    columns = np.column_stack([one, means[:, 3:-1]])
-    residuals = [project(y - d * driven, columns)[1] for d in (1.0, -1.0)]
-    white = whitener(min(residuals, key=lambda e: float(e @ e)))(means)
-    return _Columns(white[:, 0], white[:, 1], white[:, 2], white[:, 3:-1], white[:, -1])
+    # the residual beside any initial state has the model's error in it, but no other start's
+    white = whitener(project(means[:, 0], means[:, 1:])[1])(means)
+    one = white[:, 1]
+    factors, residual = project(white[:, 0], white[:, 1:] if moving else white[:, 1:2])
+    alone = project(one, white[:, 2:])[1] if moving else one
+    return float(factors[0]), float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
 
 def start_beside(
@@ -197,50 +179,33 @@ def start_beside(
     return estimate_start(part, Response(rest, held, modes(logs), omega, zeros))
 
 
-def _resting(records: Sequence[Record], decided: Sequence[Beginning]) -> list[list[float]]:
-    """Return, for every record, the sensor offsets of the others that start at rest."""
-    resting = [k for k, b in enumerate(decided) if b.begins == "rest"]
-    groups = [({resting[m] for m in members}, zero) for members, zero, _ in level_groups([records[k] for k in resting])]
-    return [[zero for members, zero in groups if members != {k}] for k in range(len(records))]
-
-
 def _with_zeros(
-    records: Sequence[Record], rows: Sequence[_Columns], kinds: Sequence[tuple[Begins, float]], clean: bool
+    records: Sequence[Record], starts: Sequence[Beginning], fitted: Sequence[tuple[float, float, int]], clean: bool
 ) -> list[Beginning]:
-    """Return initial states with sensor offsets: measured in the first samples at rest (pooled), otherwise fitted."""
-    decided: dict[int, Beginning] = {}
-    resting = [k for k, (begins, _) in enumerate(kinds) if begins == "rest"]
-    groups = level_groups([records[k] for k in resting])
-    fitted = {k: rows[k].zero(*kinds[k]) for k in range(len(records))}
-    for group, (members, zero, stderr) in enumerate(groups):
+    """Return initial states with sensor offsets: measured in the first samples at rest (pooled), otherwise fitted.
+
+    A fitted offset is the most common one at rest, or one fitted before, if both are equal within their errors.
+    """
+    decided, groups = list(starts), []
+    resting = [k for k, start in enumerate(starts) if start.begins == "rest"]
+    for members, zero, stderr in level_groups([records[k] for k in resting]):
         free = clean or _sharper([fitted[resting[m]] for m in members], zero, stderr)
-        decided |= {resting[m]: Beginning("rest", kinds[resting[m]][1], zero, stderr, group, free) for m in members}
-    own = {k: zero for k, zero in fitted.items() if k not in decided}
-    if groups:
-        (first, *_), zero, stderr = groups[0]
-        free = decided[resting[first]].free
-        near = [k for k, (there, w, size) in own.items() if _agree(zero - there, w / (1 + w * stderr**2), size)]
-        decided |= {k: Beginning(*kinds[k], zero, stderr, 0, free) for k in near}
-        own = {k: v for k, v in own.items() if k not in near}
-    pool, mean = dict(own), 0.0
-    while pool:
-        mean = sum(z * w for z, w, _ in pool.values()) / sum(w for _, w, _ in pool.values())
-        worst = max(pool, key=lambda k: pool[k][1] * (pool[k][0] - mean) ** 2)
-        if _agree(pool[worst][0] - mean, *pool[worst][1:]):
-            break
-        pool.pop(worst)
-    group = len(groups)
-    together = sum(w for _, w, _ in pool.values())
-    decided |= {k: Beginning(*kinds[k], mean, _stderr(together), group, True) for k in pool}
-    apart = [k for k in own if k not in pool]
-    decided |= {
-        k: Beginning(*kinds[k], own[k][0], _stderr(own[k][1]), group + 1 + j, True) for j, k in enumerate(apart)
-    }
-    return [decided[k] for k in range(len(records))]
-
-
-def _stderr(weight: float) -> float:
-    return float(1 / np.sqrt(max(weight, 1e-300)))
+        groups.append({"zero": zero, "stderr": stderr, "group": len(groups), "free": free})
+        for m in members:
+            decided[resting[m]] = replace(starts[resting[m]], **groups[-1])
+    at_rest = len(groups)
+    # the most certain offset first
+    for k in sorted(set(range(len(starts))) - set(resting), key=lambda k: -fitted[k][1]):
+        zero, weight, size = fitted[k]
+        for group in (*groups[: min(at_rest, 1)], *groups[at_rest:]):
+            change = weight * (zero - group["zero"]) ** 2 / (1 + weight * group["stderr"] ** 2)
+            if size * np.log1p(change / size) <= np.log(size):  # BIC
+                break
+        else:
+            group = {"zero": zero, "stderr": float(weight**-0.5), "group": len(groups), "free": True}
+            groups.append(group)
+        decided[k] = replace(starts[k], **group)
+    return decided
 
 
 def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: float) -> bool:
@@ -251,8 +216,3 @@ def _sharper(fitted: Sequence[tuple[float, float, int]], level: float, stderr: f
     weight = sum(w for _, w, _ in fitted)
     mean = sum(z * w for z, w, _ in fitted) / weight
     return bool(weight * stderr**2 > 1 and (mean - level) ** 2 < 25 * (1 / weight + stderr**2))
-
-
-def _agree(difference: float, weight: float, size: int) -> bool:
-    """Return whether two sensor offsets are equal within their errors: T log(1 + w dz^2 / T) <= log T (BIC)."""
-    return bool(size * np.log1p(weight * difference**2 / size) <= np.log(size))
