@@ -1,23 +1,17 @@
-"""Find initial poles for the output-error fit without a frequency response: by ARX with instruments, and on a grid.
+"""Find initial poles for the output-error fit without a frequency response: by ARX models, and on a grid.
 
-    y_t + a_1 y_{t-1} + ... + a_n y_{t-n} = b_0 u_t + ... + b_n u_{t-n} + c,      theta = (Z'X)^-1 Z'y
-    Z = X at first, then X with y replaced by the model's own run (instrumental variables: no bias by noise)
+    y_t + a_1 y_{t-1} + ... + a_n y_{t-n} = b_0 u_t + ... + b_n u_{t-n} + c       (least squares)
     p = log(z) / h,  z: roots of 1 + a_1 z^-1 + ...;      on means over 1, 4 and 16 samples, for slow modes
 
-Source: Young (1976), Some observations on instrumental variable methods; Ljung (1999), 7.6.
+Noise biases these poles; the fit that starts from them removes the bias. Source: Ljung (1999), 7.3.
 """
 
-from collections.abc import Iterator
-
 import numpy as np
-from scipy.signal import lfilter
 
 from ..signal.reduced import means
 from .linear_ode import bounded, logs_from_roots, poles
 from .output_error import FASTEST, Problem, Structure, solve
 
-_SIZES = (1, 4, 16)
-_ROUNDS = 4
 _GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
 _APART = 0.3  # of a logarithm: nearer starts lead to the same minimum
 _DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
@@ -53,7 +47,7 @@ def cost_of(params, structure: Structure, problem: Problem) -> float:
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
     """Return several initial guesses of the poles (rad/s) of a model of this order."""
-    tried = list(_arx(order, problem))
+    tried = [roots for size in (1, 4, 16) for late in (0, 2) for roots in _arx(order, problem, size, late)]
     longest = max(len(d) for d in problem.drive)
     grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
     if order == 1:
@@ -73,57 +67,32 @@ def one_more(logs: np.ndarray) -> list[np.ndarray]:
     return [np.append(known, -pole) for pole in (0.1 * size.min(), 4.0 * size.max(), 15.0 * size.max())]
 
 
-def _arx(order: int, problem: Problem) -> Iterator[np.ndarray]:
-    for size in _SIZES:
-        for late in (0, 2):
-            roots = _instrumental(order, problem, size, late)
-            if roots is not None:
-                yield roots
-
-
-def _instrumental(order: int, problem: Problem, size: int, late: int) -> np.ndarray | None:
-    """Return the poles (rad/s) of an ARX model fitted with instrumental variables; None if it cannot be solved."""
-    series = []
+def _arx(order: int, problem: Problem, size: int, late: int) -> list[np.ndarray]:
+    """Return the poles (rad/s) of an ARX model of means over `size` samples; none if it cannot be solved."""
+    rows, targets = [], []
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         seen = np.flatnonzero(weight)
         filled = np.interp(np.arange(len(output)), seen, output[seen])
         force = drive**2 if problem.square else drive
         force = np.append(np.full(late, force[0]), force)[: len(force)]
-        series.append((means(force, size), means(filled, size)))
-    if max(len(y) for _, y in series) < 8 * order + 16:
-        return None
-    theta, best = None, None
-    for _ in range(_ROUNDS):
-        normal, right = np.zeros((2 * order + 1,) * 2), np.zeros(2 * order + 1)
-        for force, output in series:
-            if len(output) <= 2 * order + 4:
-                continue
-            regressors, target = _regressors(force, output, order), output[order:]
-            instruments = regressors
-            if theta is not None:
-                # the model's own run is as correlated with the regressors, and free of the output's noise
-                run = np.asarray(lfilter(theta[: order + 1], np.append(1.0, theta[order + 1 :]), force - force[0]))
-                instruments = _regressors(force, run, order)
-            normal += (instruments - instruments.mean(0)).T @ (regressors - regressors.mean(0))
-            right += (instruments - instruments.mean(0)).T @ (target - target.mean())
-        if not (np.isfinite(normal).all() and np.isfinite(right).all()):
-            return best
-        theta = np.linalg.lstsq(normal, right, rcond=1e-12)[0]
-        roots = np.roots(np.append(1.0, theta[order + 1 :]))
-        if not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any() or len(roots) != order:
-            return best
-        # reflected at the unit circle: the same size at every frequency, and stable
-        roots = np.where(np.abs(roots) >= 1, 0.999 * roots / np.abs(roots) ** 2, roots)
-        theta = np.append(theta[: order + 1], np.real(np.poly(roots))[1:])
-        slow = np.log(roots.astype(complex)) / (size * problem.dt)
-        alternating = np.abs(np.abs(slow.imag) * size * problem.dt - np.pi) < 1e-6  # no real pole makes these
-        best = np.where(alternating, -np.abs(slow), slow)
-    return best
-
-
-def _regressors(force: np.ndarray, output: np.ndarray, order: int) -> np.ndarray:
-    size = len(output)
-    return np.column_stack(
-        [force[order - i : size - i] for i in range(order + 1)]
-        + [-output[order - i : size - i] for i in range(1, order + 1)]
-    )
+        u, y = means(force, size), means(filled, size)
+        count = len(y) - order
+        if count <= order + 4:
+            continue
+        columns = [u[order - i :][:count] for i in range(order + 1)] + [
+            -y[order - i :][:count] for i in range(1, order + 1)
+        ]
+        regressors = np.column_stack(columns)
+        rows.append(regressors - regressors.mean(0))
+        targets.append(y[order:] - y[order:].mean())
+    if not rows or max(map(len, rows)) < 7 * order + 16:
+        return []
+    theta = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=1e-12)[0]
+    roots = np.roots(np.append(1.0, theta[order + 1 :]))
+    if len(roots) != order or not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any():
+        return []
+    # reflected at the unit circle: the same size at every frequency, and stable
+    roots = np.where(np.abs(roots) >= 1, 0.999 * roots / np.abs(roots) ** 2, roots)
+    slow = np.log(roots.astype(complex)) / (size * problem.dt)
+    alternating = np.abs(np.abs(slow.imag) * size * problem.dt - np.pi) < 1e-6  # no real pole makes these
+    return [np.where(alternating, -np.abs(slow), slow)]
