@@ -143,16 +143,7 @@ def respond(
         settled: start from the equilibrium of the first sample, not from rest.
         late: delay in samples; exact between them.
     """
-    if hold == "bandlimited":
-        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
-        return respond(logs, _finer(drive), **how)[::_FINER]
-    rows, level = _inputs(drive, square, hold, settled)
-    z, response = poles(logs) * step, np.zeros(len(drive))
-    whole, part = _split(late, len(drive))
-    for pole in z[np.imag(z) >= 0]:
-        mode = _later(_filtered(_weights(pole)[0, : len(rows)] @ rows, pole), pole, part, rows, whole)
-        response[whole:] += (2 if pole.imag else 1) * np.real(_residue(pole, z, step) * mode)
-    return response + level
+    return _simulated(logs, drive, False, step, square, hold, settled, late)[0]
 
 
 def respond_with_slopes(
@@ -166,39 +157,49 @@ def respond_with_slopes(
     late: float = 0.0,
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
     """Simulate as `respond` does; return the response, its derivatives by the logarithms, and its time derivative."""
+    runs = _simulated(logs, drive, True, step, square, hold, settled, late)
+    return runs[0], runs[1:-1], runs[-1]
+
+
+def _simulated(
+    logs: np.ndarray, drive: np.ndarray, slopes: bool, step: float, square: bool, hold: str, settled: bool, late: float
+) -> Float[np.ndarray, "rows time"]:
+    """Return the response; with `slopes` its derivatives by the logarithms and by time in the rows below it."""
     if hold == "bandlimited":
-        how = {"step": step / _FINER, "square": square, "hold": "foh", "settled": settled, "late": _FINER * late}
-        run, slopes, rate = respond_with_slopes(logs, _finer(drive), **how)
-        return run[::_FINER], slopes[:, ::_FINER], rate[::_FINER]
+        fine = between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
+        return _simulated(logs, fine, slopes, step / _FINER, square, "foh", settled, _FINER * late)[:, ::_FINER]
     rows, level = _inputs(drive, square, hold, settled)
     z, moves = poles(logs) * step, pole_slopes(logs) * step
-    whole, part = _split(late, len(drive))
-    runs = np.zeros((len(logs) + 2, len(drive)))
+    # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
+    whole = min(int(np.ceil(late)), len(drive) - 1)
+    part = max(whole - late, 0.0)
+    runs = np.zeros((len(logs) + 2 if slopes else 1, len(drive)))
     for i in np.flatnonzero(np.imag(z) >= 0):
         pole, others = z[i], np.delete(z, i)
         weights = _weights(pole)[:, : len(rows)]
-        mode = _filtered(weights[0] @ rows, pole)
-        slope = _filtered(weights[1] @ rows + _decay(pole) * mode[:-1], pole)  # m'(t+1) at the head of the file
-        slope = _later(slope + part * mode, pole, part, rows, whole, 1)
-        mode = _later(mode, pole, part, rows, whole)
+        first = _filtered(weights[0] @ rows, pole)
         # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum; a pole at 0 does not move
         relative = 1 / np.where(z, z, 1)
         relative[np.arange(len(z)) != i] += 1 / (pole - others)
         relative[i] -= (1 / (pole - others)).sum()
         residue = _residue(pole, z, step)
-        of_mode = residue * np.concatenate([[1.0], relative @ moves, [pole / step]])
-        of_slope = residue * np.concatenate([[0.0], moves[i], [0.0]])
-        for series, factors in ((mode, of_mode), (slope, of_slope)):
-            for number, size in zip(runs, factors, strict=True):  # a loop, because BLAS would start its threads
+        parts = [(_later(first, pole, part, rows, whole), [1.0, *(relative @ moves), pole / step])]
+        if slopes:  # m'(t+1) at the head of the file
+            slope = _filtered(weights[1] @ rows + _decay(pole) * first[:-1], pole)
+            parts.append((_later(slope + part * first, pole, part, rows, whole, 1), [0.0, *moves[i], 0.0]))
+        for series, factors in parts:
+            for run, factor in zip(runs, factors, strict=False):  # a loop, because BLAS would start its threads
+                size = residue * factor
                 if pole.imag:
-                    number[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
+                    run[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
                 elif size:
-                    number[whole:] += size.real * series
-    if len(z) == 1:  # for order 1 the force itself acts on the rate
+                    run[whole:] += size.real * series
+    if slopes and len(z) == 1:  # for order 1 the force itself acts on the rate
         rows = np.column_stack([rows, rows[:, -1]])
         force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
         runs[-1, whole:] += _residue(z[0], z, step) / step * force[: len(drive) - whole]
-    return runs[0] + level, runs[1:-1], runs[-1]
+    runs[0] += level
+    return runs
 
 
 def bounded_response(
@@ -223,17 +224,6 @@ def bounded_response(
         response += (2 if pole.imag else 1) * np.real(_residue(pole, poles, 1.0) * mode)
         free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
     return response, np.stack(free, 1)
-
-
-def _finer(drive: np.ndarray) -> np.ndarray:
-    return between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
-
-
-def _split(late: float, samples: int) -> tuple[int, float]:
-    """Split a delay in samples into whole samples, rounded up, minus a fraction of a sample."""
-    # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
-    whole = min(int(np.ceil(late)), samples - 1)
-    return whole, max(whole - late, 0.0)
 
 
 def _residue(pole: complex, z: np.ndarray, step: float) -> complex:
