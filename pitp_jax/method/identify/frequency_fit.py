@@ -19,14 +19,14 @@ from jaxtyping import Array, Float, Inexact
 
 from ..numerics.where import where
 from .frequency_response import FrequencyResponse
-from .linear_ode import logs_from_roots
+from .linear_ode import logs_from_roots, polynomial
 
 ORDERS = tuple(range(1, 7))
 _PAIRS = 3
 _LEAST = 0.02  # of |G|: no response is linear to better than this
 _LINES = 256
 _ROUNDS, _STEPS = 8, 60
-_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
+DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
 _RIDGE = 1e-4
 
 
@@ -123,24 +123,38 @@ def equation_error(
     return np.roots(a[::-1])
 
 
+def projected(
+    lines: Lines, logs: np.ndarray, late: float, zeros: int = 0
+) -> tuple[Float[np.ndarray, " rows"], Float[np.ndarray, " powers"]]:
+    """Fit the numerator b_0 ... b_m to the lines at given poles and delay, both in units of `lines`.
+
+    Returns:
+        the weighted residual, real then imaginary parts, and the numerator's coefficients.
+    """
+    s, powers = lines.s[:, None], np.arange(zeros + 1)
+    own = lines.weight * lines.held * np.exp(-lines.s * late) / np.polyval(polynomial(logs)[::-1], lines.s)
+    rows, target = (
+        np.concatenate([np.real(v), np.imag(v)]) for v in (own[:, None] * s**powers, lines.weight * lines.value)
+    )
+    size = np.linalg.norm(rows, axis=0) + 1e-300
+    b = np.linalg.lstsq(rows / size, target, rcond=1e-12)[0] / size
+    return rows @ b - target, b
+
+
 def _start(order: int, delayed: bool, lines: Lines, sample: float) -> np.ndarray:
     """Return initial parameters from the equation error, at the best delay."""
     best, chosen = np.inf, np.zeros(2 * _PAIRS + 2)
-    s, value, weight = lines.s, lines.value / lines.held, lines.weight * lines.held
-    for late in _DELAYS if delayed else (0.0,):
-        roots = equation_error(lines, order, late * sample)
+    for late in DELAYS * sample if delayed else (0.0,):
+        roots = equation_error(lines, order, late)
         if len(roots) != order or not np.isfinite(roots).all():
             continue
         logs = logs_from_roots(roots)
-        stable = -np.abs(np.real(roots)) + 1j * np.imag(roots)
-        model = np.exp(-s * late * sample) / np.prod(1 - s[:, None] / stable, 1)
-        gain = np.sum(weight**2 * np.real(model.conj() * value)) / np.sum(weight**2 * np.abs(model) ** 2)
-        cost = float(np.sum(weight**2 * np.abs(gain * model - value) ** 2))
+        cost = float(np.sum(projected(lines, logs, late)[0] ** 2))
         if cost < best:
             best, chosen = cost, np.zeros(2 * _PAIRS + 2)
             chosen[: 2 * (order // 2)] = logs[: 2 * (order // 2)]
             chosen[2 * _PAIRS : 2 * _PAIRS + order % 2] = logs[2 * (order // 2) :]
-            chosen[-1] = np.log(max(late * sample, 1e-6))
+            chosen[-1] = np.log(max(late, 1e-6))
     return chosen
 
 

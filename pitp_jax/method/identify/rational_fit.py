@@ -14,13 +14,12 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import least_squares
 
-from .frequency_fit import Lines, equation_error
+from .frequency_fit import DELAYS, Lines, equation_error, projected
 from .frequency_response import FrequencyResponse
-from .linear_ode import logs_from_roots, poles, polynomial
+from .linear_ode import logs_from_roots, poles
 
 PEAK = 0.5**0.5  # damping below which a pole pair has a resonance peak
 _CLEARLY = 0.8  # of the error, beside one standard error: what a fit with a peak leaves where it needs one
-_DELAYS = np.concatenate([[0.0], np.geomspace(0.5, 45.0, 8)])  # samples: starts
 _MOST = 40
 
 
@@ -48,8 +47,7 @@ def fit_rational(
 ) -> Rational:
     """Fit `order` poles, `zeros` zeros and a delay; `least` is the smallest damping ratio of a pole pair."""
     lines = Lines.of(response, dt)
-    s, step = lines.s, lines.unit * dt
-    powers, goal = s[:, None] ** np.arange(zeros + 1), lines.weight * lines.value
+    step = lines.unit * dt
 
     def damped(p):
         logs = p[:-1].copy()
@@ -57,24 +55,21 @@ def fit_rational(
             logs[k] = max(logs[k], np.log(2 * least) + logs[k + 1] / 2)
         return logs
 
-    def project(p):
-        scale = lines.weight * lines.held * np.exp(-s * p[-1] * step) / np.polyval(polynomial(damped(p))[::-1], s)
-        rows, target = (np.concatenate([np.real(v), np.imag(v)]) for v in (scale[:, None] * powers, goal))
-        size = np.linalg.norm(rows, axis=0) + 1e-300
-        b = np.linalg.lstsq(rows / size, target, rcond=1e-12)[0] / size
-        return rows @ b - target, b
+    def misfit(p):
+        return projected(lines, damped(p), p[-1] * step, zeros)[0]
 
     def begin(late, origin):
         roots = equation_error(lines, order, late * step, zeros=zeros, origin=origin)
         logs = logs_from_roots(np.append(roots, [-1.0] * (order - len(roots))))
         return np.clip(np.append(logs, late), low + 1e-6, high - 1e-6)
 
-    low, high = np.append(np.full(order, -16.0), 0.0), np.append(np.full(order, 16.0), 2 * _DELAYS[-1])
+    low, high = np.append(np.full(order, -16.0), 0.0), np.append(np.full(order, 16.0), 2 * DELAYS[-1])
     fits = []
     for origin in (False, True)[: 1 + (zeros > 0)]:
-        start = min((begin(d, origin) for d in _DELAYS), key=lambda p: float(np.sum(project(p)[0] ** 2)))
-        fits.append(least_squares(lambda p: project(p)[0], start, bounds=(low, high), max_nfev=_MOST, x_scale="jac"))
+        start = min((begin(d, origin) for d in (0.0, *DELAYS)), key=lambda p: float(np.sum(misfit(p) ** 2)))
+        fits.append(least_squares(misfit, start, bounds=(low, high), max_nfev=_MOST, x_scale="jac"))
     fit = min(fits, key=lambda f: f.cost)
-    found = np.roots(project(fit.x)[1][::-1]) if zeros else np.zeros(0)
-    error = float(np.sqrt(2 * fit.cost / len(s)))
-    return Rational(error, lines.unit * poles(damped(fit.x)), lines.unit * found, float(fit.x[-1] * dt))
+    logs = damped(fit.x)
+    found = np.roots(projected(lines, logs, fit.x[-1] * step, zeros)[1][::-1])
+    error = float(np.sqrt(2 * fit.cost / len(lines.s)))
+    return Rational(error, lines.unit * poles(logs), lines.unit * found, float(fit.x[-1] * dt))
