@@ -20,7 +20,6 @@ from ..model.model import Hold
 from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
-from .linear_ode import logs_from_roots
 from .order_fit import identifiable
 from .output_error import Problem, Structure, least_squares, poles_of
 from .starts import best_starts, guesses, one_more
@@ -40,16 +39,15 @@ Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 def search(
     problem: Problem,
     response: FrequencyResponse,
-    pair: np.ndarray | None,
     *,
     orders: Sequence[int],
     holds: Sequence[Hold],
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """Fit and return all candidates in ascending order; `pair` holds known poles of order 2 (rad/s), or None."""
+    """Fit and return all candidates in ascending order."""
     by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
-    roots = cache(lambda order: guesses(order, problem) + _with_pair(pair, order))
+    roots = cache(lambda order: guesses(order, problem))
     candidates: list[Candidate] = []
     for order in orders:
         if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, candidates):
@@ -64,20 +62,15 @@ def search(
                     break  # of block means, holds differ by half a sample of delay
                 structure = Structure(order, hold, delayed)
                 if ends:
-                    end = least_squares(_under(hold, ends[0], problem), structure, problem, _STEPS, _LEAST_STEP)
+                    end = _short(_under(hold, ends[0], problem), structure, problem)
                 else:
                     end = _fitted(structure, problem, by_response, roots, candidates + here)
-                ends += [(structure, end)] if end is not None and np.isfinite(end[1]) else []
+                ends += [(structure, end)] if np.isfinite(end[1]) else []
             if not ends:
                 continue
             structure, end = min(ends, key=lambda e: e[1][1])
             if delayed and len(delays) > 1 and np.exp(end[0][-1]) <= _DELAY * problem.fine:
-                # no delay, but a start that the order without one did not have
-                if here and end[1] * _NO_WORSE < here[0].cost:
-                    structure = here.pop().structure
-                    end = least_squares(end[0][:-1], structure, problem, _STEPS, _LEAST_STEP)
-                else:
-                    continue
+                continue
             here.append(_scored(structure, end, problem))
         if not here:
             continue
@@ -137,7 +130,7 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
     return params
 
 
-def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending | None:
+def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending:
     """Fit one candidate from the frequency response, and from more initial guesses if a simpler model fits better."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
@@ -157,8 +150,7 @@ def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier
         if some is None:
             some = best_starts(structure, problem, roots(order), most=2) + ([] if ends else nested)
         ends += [_short(s, structure, problem) for s in some]
-    ends = [e for e in ends if np.isfinite(e[1])]
-    return min(ends, key=lambda e: e[1]) if ends else None
+    return min(ends, key=lambda e: e[1], default=(np.zeros(0), np.inf, False))
 
 
 def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
@@ -171,12 +163,6 @@ def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem
 
 def _short(start: np.ndarray, structure: Structure, problem: Problem) -> Ending:
     return least_squares(start, structure, problem, _STEPS, _LEAST_STEP)
-
-
-def _with_pair(pair: np.ndarray | None, order: int) -> list[np.ndarray]:
-    if pair is None or order not in (2, 3):
-        return []
-    return [pair] if order == 2 else one_more(logs_from_roots(pair))
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:

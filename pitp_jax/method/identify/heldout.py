@@ -75,31 +75,26 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
     scored = [np.zeros(len(w)) for w in problem.weight]
     missed = whole = 0.0
     for fold in range(_FOLDS):
-        parts = [
-            [slice(*e[j : j + 2]) for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS)] for k, e in enumerate(edges)
-        ]
-        keep = [np.ones(len(w)) for w in problem.weight]
-        for mask, some in zip(keep, parts, strict=True):
-            for block in some:
-                mask[block] = 0.0
-        rest = masked(problem, keep)
+        numbers = [np.repeat(np.arange(3 * _FOLDS) - k - fold, np.diff(e)) for k, e in enumerate(edges)]
+        rest = masked(problem, [n % _FOLDS > 0 for n in numbers])
         # start from the fit of all samples; a few steps undo the influence of the third left out
         refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
         solved = solve(refitted, structure, rest)
-        for k, some in enumerate(parts):
+        for k, e in enumerate(edges):
             run = solved.gains[0] * driven(refitted, structure, problem, k)
             own, rings = own_columns(refitted, structure, problem, k)
             # a real mode's free response is drift or creep and continues; a ringing mode gets no credit
             run = run + own[:, ~rings] @ solved.own[k][~rings]
-            for block in some:
+            for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS):
+                block = slice(*e[j : j + 2])
                 weight = problem.weight[k][block].copy()
                 if block.start == 0 and len(rings):  # the same for every candidate, whatever rings in it
                     weight[: len(weight) // 2] = 0.0
                 if not weight.sum():
                     continue
-                e, y = problem.output[k][block] - run[block], problem.output[k][block]
-                e, y = ((v - weight @ v / weight.sum()) * weight for v in (e, y))
-                error[k][block], scored[k][block] = e, weight
-                missed, whole = missed + float(e @ e), whole + float(y @ y)
+                y = problem.output[k][block]
+                miss, y = ((v - weight @ v / weight.sum()) * weight for v in (y - run[block], y))
+                error[k][block], scored[k][block] = miss, weight
+                missed, whole = missed + float(miss @ miss), whole + float(y @ y)
     score = float(np.sqrt(missed / max(whole, 1e-300)))
     return HeldOut(score if np.isfinite(score) else np.inf, tuple(error), tuple(scored))

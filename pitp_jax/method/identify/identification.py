@@ -5,7 +5,7 @@
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
 Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
-optimistix (`frequency_fit`) or from ARX and instruments (`starts`), order, delay and hold together by held-out blocks
+optimistix (`frequency_fit`) or from ARX models (`starts`), order, delay and hold together by held-out blocks
 (`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
@@ -40,7 +40,7 @@ from .beginnings import find_beginnings
 from .candidates import NEAR, choose, search, without_spring
 from .explained import explains, is_noise
 from .frequency_fit import ORDERS
-from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
+from .frequency_response import FrequencyResponse, frequency_response
 from .heldout import Candidate, out_of_fold
 from .numerator import needed_zeros
 from .order_fit import OrderFit, covariance, describe, zero_of
@@ -198,25 +198,24 @@ def _better(first, other, name: str, *, given: bool) -> Identification:
 
     Where the map was given, it stays. No plant is called unstable that is stable with the other map.
     """
-    if not isinstance(other, Identification):
-        if isinstance(first, ComputationFailed):
-            raise first
-        return first
     failed = isinstance(first, ComputationFailed)
-    said, left = ((str(first),), np.inf) if failed else (first.remarks, first.chosen.heldout)
-    unstable = any(UNSTABLE in line for line in said) and not any(UNSTABLE in line for line in other.remarks)
-    better = other.explains and other.chosen.heldout < _CLEARLY * left
-    if not better and not unstable:
-        if failed:
-            raise first
-        return first
-    line = f"With --input-map {name}, {other.chosen.heldout:.2g} % of the output's deviation remains unexplained on "
-    line += "held-out blocks" if failed else f"held-out blocks, and {left:.2g} % with the other map"
-    if better and not given:
-        return replace(other, remarks=(f"{line}: {name} was chosen.", *other.remarks))
+    if isinstance(other, Identification):
+        said, left = ((str(first),), np.inf) if failed else (first.remarks, first.chosen.heldout)
+        unstable = any(UNSTABLE in line for line in said) and not any(UNSTABLE in line for line in other.remarks)
+        better = other.explains and other.chosen.heldout < _CLEARLY * left
+        line = (
+            f"With --input-map {name}, {other.chosen.heldout:.2g} % of the output's deviation remains unexplained on "
+        )
+        line += "held-out blocks" if failed else f"held-out blocks, and {left:.2g} % with the other map"
+        if better and not given:
+            return replace(other, remarks=(f"{line}: {name} was chosen.", *other.remarks))
+        if better or unstable:
+            if failed:
+                raise ComputationFailed(f"{_NONE}. {line}")
+            return replace(first, remarks=(f"{line}.", *(() if unstable else said)))
     if failed:
-        raise ComputationFailed(f"{_NONE}. {line}")
-    return replace(first, remarks=(f"{line}.", *(said if not unstable else ())))
+        raise first
+    return first
 
 
 def _identified(
@@ -227,9 +226,9 @@ def _identified(
     begun, roots, misfit = find_beginnings(records, input_map)
     finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
     whole = build_problem(records, input_map, begun)
-    small = _averaged(records, input_map, begun, roots, finest)
+    small = _averaged(records, input_map, whole, roots, finest)
     response = frequency_response(whole)
-    candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
+    candidates = _candidates(small, response, order, hold, learn, leave_out, progress)
     if input_map == "linear":
         candidates += without_spring(candidates, small, [hold] if hold else _HOLDS)
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
@@ -289,7 +288,7 @@ def _check_options(
 
 
 def _candidates(
-    small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
+    small: Problem, response: FrequencyResponse, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
     """Fit candidate models of the orders, holds of the input and delays that the options allow, in ascending order.
@@ -302,14 +301,11 @@ def _candidates(
         "holds": _HOLDS if hold is None else (hold,),
         "delays": [False] if "delay" in leave_out else [False, True],
     }
-    candidates = search(small, response, roots, **asked, progress=progress)
+    candidates = search(small, response, **asked, progress=progress)
     if not candidates:
         raise ComputationFailed(
             "no order could be simulated on these recordings; check the units and the sampling of the columns"
         )
-    if order != "auto" and response.rich and not any(c.known for c in candidates):
-        # A sharp resonance has a minimum every period of the record: before a refusal, use the other starts.
-        candidates = search(small, UNKNOWN_RESPONSE, roots, **asked, progress=progress) or candidates
     if "delay" in learn:  # prefer the delay wherever it does not vanish
         # orders whose delay did not vanish
         late = {c.structure.order for c in candidates if c.structure.delayed}
@@ -317,9 +313,8 @@ def _candidates(
     return candidates
 
 
-def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginning], roots, finest: float) -> Problem:
+def _averaged(records: Sequence[Record], input_map: str, whole: Problem, roots, finest: float) -> Problem:
     """Return the normalised records on which candidates are compared: block means if there are many samples."""
-    whole = build_problem(records, input_map, begun)
     fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
     size = min(size, int(np.ceil(whole.samples / _SAMPLES)))
@@ -327,7 +322,7 @@ def _averaged(records: Sequence[Record], input_map: str, begun: Sequence[Beginni
         return whole
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
-    return replace(build_problem(small, "linear", begun), fine=whole.dt)
+    return replace(build_problem(small, "linear", whole.beginnings), fine=whole.dt)
 
 
 def _determined(

@@ -316,11 +316,5 @@ def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
 
 def alone(problem: Problem, k: int) -> Problem:
     """Return the normalised records reduced to record k, in the same units."""
-    return replace(
-        problem,
-        drive=problem.drive[k : k + 1],
-        output=problem.output[k : k + 1],
-        weight=problem.weight[k : k + 1],
-        beginnings=problem.beginnings[k : k + 1],
-        zeros=(min(problem.zeros[k], 0),),
-    )
+    own = {name: (getattr(problem, name)[k],) for name in ("drive", "output", "weight", "beginnings")}
+    return replace(problem, **own, zeros=(min(problem.zeros[k], 0),))
