@@ -13,7 +13,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from ...common.numbers import number
-from ...method.diagnose.joint import NAMES, Names, Parameter, gain_factor
+from ...method.diagnose.joint import NAMES, Parameter, gain_factor
 from .change import Change, NotWritten
 from .document import Tag
 from .joint import Joint
@@ -33,7 +33,8 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
     Returns:
         changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
-    rows = {p.name: p for p in table if _is_known(p) and p.determined}
+    determined = {p.name: p for p in table if p.determined}
+    rows = {name: p for name, p in determined.items() if _is_known(p)}
     f = joint.torque_per_command
     k, beside = _gain_factor(joint, {p.name: p for p in table}, rows)
     changes: list[Change] = []
@@ -43,9 +44,7 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
         ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
         ("coulomb_friction level", "frictionloss", "N m"),
     ):  # fmt: skip
-        row = rows.get(name) or (
-            next((p for p in table if p.name == name and p.determined), None) if k != 1.0 else None
-        )
+        row = (rows if k == 1.0 else determined).get(name)
         if row is None:
             continue
         difference = f * (k * row.robot - row.simulator)
@@ -55,32 +54,22 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
         if error is not None and abs(difference) < 2 * error:
             continue
         old = getattr(joint, attribute)
-        changes.append(
-            _moved(
-                "joint", attribute, old, max(old + difference, 0.0), error, unit if joint.hinge else _linear(unit), 0.0
-            )
-        )
+        unit = unit if joint.hinge else _linear(unit)
+        changes.append(_moved("joint", attribute, old, max(old + difference, 0.0), error, unit, 0.0))
     changes, element = _with_weight(joint, changes, rows.get(_WEIGHT), f, k)
     changes += _of_actuator(joint, rows, f * k)
     changes += _stops(joint, rows)
-    written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time",
-               "electrode_rc tau", "voltage_clip inverse", "force_limit inverse", "end_stop place",
-               "end_stop place, above", "end_stop place, below"}  # fmt: skip
-    if element:
-        written.add(_WEIGHT)
-    if _lag_attribute(joint) is None:
-        written.discard("electrode_rc tau")
-    elif "sensor_lag tau" in rows and "electrode_rc tau" not in rows:
-        written.add("sensor_lag tau")
+    lag = ("electrode_rc tau" if "electrode_rc tau" in rows else "sensor_lag tau") if _lag_attribute(joint) else ""
+    written = {"gain", "position gain", "inertia", "damping", "stiffness", "coulomb_friction level", "delay time", lag,
+               "voltage_clip inverse", "force_limit inverse", "end_stop place", "end_stop place, above",
+               "end_stop place, below", _WEIGHT if element else ""}  # fmt: skip
+    ways = {name: names.substitute for name, names in NAMES.items()}
+    ways["electrode_rc tau"] = "write the motor as <general> with dyntype and dynprm"
     not_written = [
-        NotWritten(p.words, _value(p), NAMES.get(name, Names("")).substitute)
-        for name, p in rows.items() if name not in written
-    ]  # fmt: skip
+        NotWritten(p.words, _value(p), ways.get(name, "none")) for name, p in rows.items() if name not in written
+    ]
     unknown = "none: these recordings do not determine it, so the file keeps its own value"
     not_written += [NotWritten(p.words, _value(p), unknown) for p in table if p.difference and not p.determined]
-    if "electrode_rc tau" in rows and "electrode_rc tau" not in written:
-        way = "write the motor as <general> with dyntype and dynprm"
-        not_written = [replace(n, way=way) if n.way == "none" else n for n in not_written]
     return changes, not_written, element
 
 

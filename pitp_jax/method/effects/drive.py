@@ -23,7 +23,7 @@ from .spec import EffectSpec, Parameter
 
 _drive = partial(EffectSpec, family="drive", port="IN")  # from the commanded voltage to the film's
 
-_TAU = Parameter("tau", "s", off=0.0, linear=False)
+TAU = Parameter("tau", "s", off=0.0, linear=False)
 # a memory of the input faster than the plant is a filter of it, not a charge
 _STORE = Parameter("tau", "s", slow=True)
 
@@ -59,7 +59,7 @@ def _crossing(form: str, title: str, equation: str, unit: str, part: Callable) -
 
 DRIVE = (
     _drive(
-        "electrode_rc", "one lag", (_TAU,), "The electrodes' resistance delays the charging of the film.",
+        "electrode_rc", "one lag", (TAU,), "The electrodes' resistance delays the charging of the film.",
         "tau V' = u - V", kernel=lag(), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
     ),
@@ -72,7 +72,7 @@ DRIVE = (
         inverse=lambda p, v, dt: lead(v, dt, jnp.where(p.up > 0, jnp.where(v * slope(v, dt) > 0, p.up, p.down), 0.0)),
     ),
     EffectSpec(
-        "force_lag", "one lag", (_TAU,), "The force follows the square of the voltage late.",
+        "force_lag", "one lag", (TAU,), "The force follows the square of the voltage late.",
         "V^2 = F, tau F' = u^2 - F", "coupling", "IN", kernel=lag(of=lambda p, u: u**2), squares=True,
         # not from zero: there a root has no slope
         law=lambda p, u, z: jnp.where(p.tau > 0, jnp.sqrt(jnp.maximum(z[0], 1e-9)), u),

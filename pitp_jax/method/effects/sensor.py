@@ -11,7 +11,7 @@ from functools import partial
 import jax.numpy as jnp
 
 from ..model.drive import slope
-from .drive import last_lag
+from .drive import TAU, last_lag
 from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
 from .spec import EffectSpec, Parameter
@@ -19,7 +19,6 @@ from .spec import EffectSpec, Parameter
 _sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacement to its reading
 
 _TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
-_TAU = Parameter("tau", "s", off=0.0, linear=False)
 _WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
 _SECOND = Parameter("c2", "1/x", length=-1, positive=False, off=0.0)
 _THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
@@ -81,11 +80,11 @@ SENSOR = (
         law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
     ),
     _sensor(
-        "sensor_lag", "one lag", (_TAU,), "The sensor responds with a lag.", "tau y' = x - y",
+        "sensor_lag", "one lag", (TAU,), "The sensor responds with a lag.", "tau y' = x - y",
         kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
     ),
     _sensor(
-        "sensor_lag", "second order", (_TAU, Parameter("zeta")),
+        "sensor_lag", "second order", (TAU, Parameter("zeta")),
         "The sensor is a low-pass filter, or has a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x",
         kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",

@@ -92,8 +92,8 @@ def _pushed(p, now, depth, sign):
     return jnp.where(depth > 0, jnp.maximum(depth + sign * p.tau * now.rates[0] * now.v, 0.0), 0.0)
 
 
-_TAU = Parameter("tau", "s")
 _STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
+_STOPS = (*_STOP, Parameter("opposite", "x", length=1, positive=False))
 # the tangent at the ends of the motion decides which of the two names a polynomial has
 _POLYNOMIAL = tuple(
     Parameter(f"c{n}", f"1/x^{n - 1}" if n > 2 else "1/x", length=1 - n, positive=False, off=0.0) for n in (2, 3, 5)
@@ -164,13 +164,13 @@ SPRINGS = (
         law=lambda p, now: -now.k * p.kappa * jnp.maximum(-now.x - p.place, 0.0),
     ),
     _spring(
-        "end_stop", "each side", (*_STOP, Parameter("opposite", "x", length=1, positive=False)),
+        "end_stop", "each side", _STOPS,
         "On each side, at its own displacement, the motion runs into a stiff stop.",
         "f = k kappa (max(x - place, 0) - max(-x - opposite, 0))",
         law=lambda p, now: now.k * p.kappa * (now.x - jnp.clip(now.x, -p.opposite, p.place)),
     ),
     _spring(
-        "end_stop", "each side, damped", (*_STOP, Parameter("opposite", "x", length=1, positive=False), _TAU),
+        "end_stop", "each side, damped", (*_STOPS, Parameter("tau", "s")),
         "On each side the motion runs into something stiff that does not throw it back.",
         "f = k kappa max(d + tau d', 0) where d = x - place > 0, and from the other side where d = -x - opposite > 0",
         law=lambda p, now: (
