@@ -57,10 +57,6 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
 def functions(written: Written, outputs: int) -> str:
     """Write the MATLAB functions `start` and `step`, and the bodies of their loops, as text."""
     # local functions of the file: MATLAB exposes only the first one
-    writer, text = Writer("matlab"), ""
-    for name, code, states, count in (("start", written.start, 0, 0), ("step", written.run, written.states, outputs)):
-        inputs = [f"s({k + 1})" for k in range(states)] + [f"in({k + 1})" for k in range(code.inputs - states)]
-        to = [f"next({k + 1})" for k in range(written.states)] + [f"out({k + 1})" for k in range(count)]
-        lines = [f"next = zeros({written.states}, 1);", f"out = zeros({count}, 1);", *writer.body(code, inputs, to)]
-        text += f"function [next, out] = {name}(s, in)\n" + "".join(f"{line}\n" for line in lines) + "end\n\n"
+    writer = Writer("matlab")
+    text = writer.function("start", written.start, 0, 0) + writer.function("step", written.run, written.states, outputs)
     return text + "\n".join(writer.beside)

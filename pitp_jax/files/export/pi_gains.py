@@ -137,7 +137,7 @@ def _slowest(a: np.ndarray) -> float:
 
 def slew_of(model: Model) -> float:
     """Return the largest slew of the voltage: of the training records, or of a slew limit in the model, V/s."""
-    inverses = [float(v) for e in model.effects if e.name == "slew_limit" for _, v in e.numbers()]
+    inverses = [float(e.inverse) for e in model.effects if e.name == "slew_limit"]
     return min([float(model.domain.slew), *(1 / v for v in inverses if v > 0)])
 
 

@@ -25,6 +25,7 @@ from ...common.metrics import e_rms_percent
 from ...common.quantity import Units
 from ...method.effects.kernels import total_delay
 from ...method.invert import steps
+from ...method.invert.limits import Limits, limit_slew
 from ...method.model.coordinate import from_model
 from ...method.model.fitted import Fitted, Origin, fitted_of
 from ...method.model.model import Model
@@ -250,11 +251,7 @@ def played(step: steps.Step, values: np.ndarray, y0: float, u0: float = 0.0) -> 
 
 def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
     """Limit a voltage to range and slew, as the exported code does."""
-    (low, high, slew), last = plan.voltages, 0.0
-    kept = np.clip(wanted, low, high)
-    for k, u in enumerate(kept):
-        kept[k] = last = min(max(u, last - slew * plan.dt), last + slew * plan.dt)
-    return kept
+    return limit_slew(np.append(0.0, wanted), Limits(*plan.voltages), plan.dt)[0][1:]
 
 
 def _vector(plan: Plan) -> Vector:

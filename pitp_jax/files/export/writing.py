@@ -90,10 +90,16 @@ class Writer:
         return lines
 
     def function(self, name: str, program: Program, state: int, outputs: int) -> str:
-        """Write a program as a C function: static void name(const real s[], in[], real next[], real out[])."""
-        inputs = [f"s[{k}]" for k in range(state)] + [f"in[{k}]" for k in range(program.inputs - state)]
-        to = [f"next[{k}]" for k in range(len(program.outputs) - outputs)] + [f"out[{k}]" for k in range(outputs)]
-        lines = self.body(program, inputs, to)
+        """Write a program as a function of the state s and the inputs, which gives the next state and the outputs.
+
+        C: static void name(const real s[], in[], real next[], real out[]).  MATLAB: [next, out] = name(s, in).
+        """
+        states = len(program.outputs) - outputs
+        inputs = self._places("s", state) + self._places("in", program.inputs - state)
+        lines = self.body(program, inputs, self._places("next", states) + self._places("out", outputs))
+        if self.language == "matlab":
+            lines = [f"next = zeros({states}, 1);", f"out = zeros({outputs}, 1);", *lines]
+            return f"function [next, out] = {name}(s, in)\n" + "".join(f"{line}\n" for line in lines) + "end\n\n"
         used = " ".join(lines)
         for missing in ("s", "in", "out"):
             if not re.search(rf"\b{missing}\[", used):  # compilers warn of unused arguments
@@ -140,6 +146,9 @@ class Writer:
     def _place(self, name: str, k: int) -> str:
         return f"{name}({k + 1})" if self.language == "matlab" else f"{name}[{k}]"
 
+    def _places(self, name: str, count: int) -> list[str]:
+        return [self._place(name, k) for k in range(count)]
+
     def _block(self, node: Node, name: str, args: list[str]) -> list[str]:
         if isinstance(node.block, Loop):
             return self._loop(node.block, name, args)
@@ -167,8 +176,8 @@ class Writer:
         self.beside.append("")  # reserves its place before the body asks for its own tables
         place = len(self.beside) - 1
         sizes = (("known", loop.known), ("s", carry), ("row", rows))
-        inputs = [self._place(n, k) for n, size in sizes for k in range(size)]
-        lines = self.body(loop.body, inputs, [self._place("next", k) for k in range(carry)])
+        inputs = [place for n, size in sizes for place in self._places(n, size)]
+        lines = self.body(loop.body, inputs, self._places("next", carry))
         if self.language == "matlab":
             self.beside[place] = f"function next = {body}(known, s, row)\n" + "\n".join(lines) + "\nend\n"
             split = [args[: loop.known], args[loop.known : loop.known + carry], args[loop.known + carry :]]

@@ -7,7 +7,7 @@ volts (or from the voltage that holds the actuator) and returns there exactly. E
 target beyond them is reported.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -153,7 +153,8 @@ def _refuse_other_side(wanted: Motion, limits: Limits, fraction: float, zero: Ze
     Raises:
         BadInput: the negative is reachable.
     """
-    motion = led_in(wanted.mirrored(), limits)
+    negative = replace(wanted, displacement=-wanted.displacement, wanted=-wanted.wanted)
+    motion = led_in(negative, limits)
     if equation_voltage(motion, limits).infeasible[motion.target].mean() < _FEW:
         other = "leave out --zero sensor if it is measured from the position at 0 V"
         if zero != "sensor":

@@ -3,7 +3,7 @@
 x = sensor^-1(target),    s_0 = rest at 0 V, or settled at the voltage that holds the actuator
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import jax.numpy as jnp
 import numpy as np
@@ -63,10 +63,6 @@ class Motion:
     def start(self) -> Float[Array, " state"]:
         """Return the scaled state at the first sample."""
         return rest_state(self.model, self.age) if self.held is None else self.held
-
-    def mirrored(self) -> "Motion":
-        """Return the negative of the motion, from the same initial state."""
-        return replace(self, displacement=-self.displacement, wanted=-self.wanted)
 
 
 def wanted_motion(
