@@ -22,11 +22,9 @@ from ..signal.preprocess import force_band
 from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
 from ..signal.start import Response, estimate_start, first_part
-from .frequency_fit import linear_start
-from .frequency_response import frequency_response
 from .linear_ode import bounded, coast, logs_from_roots, polynomial, respond
 from .linear_ode import poles as modes
-from .output_error import FASTEST, Problem, Structure, alone, build_problem, driven, least_squares, own_columns, solve
+from .output_error import FASTEST, Problem, Structure, build_problem, driven, least_squares, own_columns, solve
 from .starts import cost_of, guesses
 
 _PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
@@ -88,30 +86,13 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     """Fit a model of order 2 with free initial states; return mean square residual and model, None if all fail."""
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
-    by_response = _from_response(problem)
-    # The response alone once gave wrong poles (order 3 with a delay), and moving records were then taken as at rest.
-    starts = [logs_from_roots(some) for some in guesses(_STRUCTURE.order, problem) if len(some) == _STRUCTURE.order]
-    starts += [] if by_response is None else [by_response]
     scored = []
-    for start in starts:
-        logs = bounded(start, 0.0, FASTEST / problem.fine)
+    for roots in guesses(_STRUCTURE.order, problem):
+        logs = bounded(logs_from_roots(roots), 0.0, FASTEST / problem.fine)
         same = _directed(logs, problem)
         scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
-    fits = []
-    for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]:
-        fit = _fitted(logs, same)
-        fits += [] if fit is None else [fit]
-    return min(fits, key=lambda f: f[0]) if fits else None
-
-
-def _from_response(problem: Problem) -> np.ndarray | None:
-    """Return initial poles from the record with the most coherent frequency response; None if none has enough lines.
-
-    Only one record is used because the sensor directions of the others are not known yet.
-    """
-    each = [frequency_response(alone(problem, k)) for k in range(len(problem.drive))]
-    best = max(each, key=lambda response: int(response.coherent.sum()))
-    return linear_start(best, problem.dt, _STRUCTURE.order) if best.rich else None
+    fits = [_fitted(logs, same) for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]]
+    return min((fit for fit in fits if fit), key=lambda fit: fit[0], default=None)
 
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:

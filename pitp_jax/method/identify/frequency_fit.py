@@ -53,12 +53,6 @@ def fit_response(
     return result
 
 
-def linear_start(response: FrequencyResponse, dt: float, order: int) -> np.ndarray:
-    """Return log pole coefficients (rad/s) of a linear equation-error fit, which needs no initial guess."""
-    lines = Lines.of(response, dt)
-    return logs_from_roots(lines.unit * equation_error(lines, order, 0.0))
-
-
 class Lines(NamedTuple):
     """Coherent lines: s = j w in units of `unit` (rad/s), response, weight, transfer function of the hold."""
 

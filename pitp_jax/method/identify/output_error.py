@@ -312,9 +312,3 @@ def least_squares(
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
     """Return the normalised records with only the samples marked in `keep` counted."""
     return replace(problem, weight=tuple(w * k for w, k in zip(problem.weight, keep, strict=True)))
-
-
-def alone(problem: Problem, k: int) -> Problem:
-    """Return the normalised records reduced to record k, in the same units."""
-    own = {name: (getattr(problem, name)[k],) for name in ("drive", "output", "weight", "beginnings")}
-    return replace(problem, **own, zeros=(min(problem.zeros[k], 0),))
