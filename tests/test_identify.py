@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from effort import calls
 from scipy.signal import chirp, cont2discrete, lfilter, lsim
-from typed import of_kind, some
+from typed import of_kind
 
 from pitp_jax import BadInput, ComputationFailed, Record, predict
 from pitp_jax.application.commands.identify import delay_text
@@ -15,11 +15,7 @@ from pitp_jax.method.diagnose.data import build_case
 from pitp_jax.method.diagnose.library import OFFSET
 from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.identify.beginnings import find_beginnings
-from pitp_jax.method.identify.candidates import choose
-from pitp_jax.method.identify.heldout import Candidate, HeldOut
 from pitp_jax.method.identify.identification import identify
-from pitp_jax.method.identify.linear_ode import logs_from_roots
-from pitp_jax.method.identify.output_error import Structure
 from pitp_jax.method.model.expected_error import expected_error
 
 DT, SAMPLES, NOISE = 1e-3, 8000, 5e-3  # noise over the output's rms
@@ -291,17 +287,6 @@ def test_what_a_search_costs(coefficients):
     assert calls(lambda: identify([record]), "_linear_filter") < 1500
 
 
-def test_a_wrong_start_from_the_response_does_not_decide_how_a_record_begins(coefficients, monkeypatch):
-    """Behind a delay it may lie far off: an order three was called at rest, and its model was useless."""
-    record = sweep(coefficients(2), 31)
-    told, poles, _ = find_beginnings([record], "square")
-    wrong = logs_from_roots(np.array([-40.0 + 400.0j, -40.0 - 400.0j]))
-    monkeypatch.setattr("pitp_jax.method.identify.beginnings._from_response", lambda problem: wrong)
-    again, found, _ = find_beginnings([record], "square")
-    assert [b.begins for b in again] == [b.begins for b in told]
-    np.testing.assert_allclose(some(found), some(poles), rtol=1e-2)
-
-
 def test_a_zero_that_the_first_samples_bend_is_fitted_where_the_model_leaves_only_noise():
     """A slow drive moves the plant within the noise of the samples that a zero was read from: 7 standard errors off."""
     time = np.arange(4000) * 5e-3
@@ -349,18 +334,3 @@ def test_a_delay_that_is_asked_for_and_vanishes_is_none(coefficients):
     found = identify([sweep(coefficients(2), 32)], order=2, hold="foh", learn=("delay",))
     assert found.chosen.delay == 0.0 and not found.model.effects
     assert errors(found.chosen, coefficients(2)).max() < 5
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_a_tie_between_holds_is_the_linear_one(seed):
-    """Errors of equal size that differ by noise alone decide nothing; a hold that leaves 2 % less of all decides."""
-    rng = np.random.default_rng(seed)
-    common = rng.standard_normal(4000)
-
-    def left(hold, error):
-        scored = HeldOut(float(np.sqrt(np.mean(error**2))), (error,), (np.ones(4000),))
-        return Candidate(Structure(2, hold, True), np.zeros(3), 0.0, True, scored, True)
-
-    noisy = {hold: common + 0.02 * rng.standard_normal(4000) for hold in ("foh", "zoh")}
-    assert choose([left(hold, error) for hold, error in noisy.items()]).structure.hold == "foh"
-    assert choose([left("foh", common), left("zoh", 0.98 * common)]).structure.hold == "zoh"

@@ -1,8 +1,7 @@
 """Fit every candidate (order, delay, hold) and choose the fewest parameters whose held-out error is near the smallest.
 
     score(order, delay, hold)  by `heldout`;    near: within 3 % of the best, or 0.1 % of the output
-    fewest poles and delays;  if equal, the lower order within 1 %, otherwise the better score;  then the better hold,
-foh where the difference is below two of its standard errors
+    fewest poles and delays;  if equal, the lower order within 1 %, otherwise the better score
 
 Every order is compared under its own best hold (in sample: equally many parameters), because half a sample of lag acts
 like a pole: under one common hold, a plant of order 2 behind a held voltage becomes one of order 3. A tolerance above
@@ -25,7 +24,6 @@ from .output_error import Problem, Structure, least_squares, poles_of
 from .starts import best_starts, guesses, one_more
 
 NEAR, TIE = 1.03, 1.01
-_BLOCKS, _SURE = 9, 2.0  # blocks of a record that are left out; standard errors of a difference that counts
 _ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
 _HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
@@ -176,17 +174,4 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     near = [c for c in near if c.structure.complexity == fewest]
     least = min(c.score for c in near)
     order = min(c.structure.order for c in near if c.score <= TIE * least)
-    alike = sorted((c for c in near if c.structure.order == order), key=lambda c: c.score)
-    # Without this rule, chance would decide on half a sample of delay when two holds tie.
-    linear = [c for c in alike if c.structure.hold == "foh"]
-    return linear[0] if linear and _tied(alike[0], linear[0]) else alike[0]
-
-
-def _tied(better: Candidate, other: Candidate) -> bool:
-    """Return whether two held-out errors differ by less than two standard errors of their difference over blocks."""
-    gained = []
-    for one, two in zip(better.heldout.error, other.heldout.error, strict=True):
-        edges = np.linspace(0, len(one), _BLOCKS + 1).astype(int)[:-1]
-        gained.append(np.add.reduceat(two**2 - one**2, edges))
-    gained = np.concatenate(gained) if gained else np.zeros(1)
-    return bool(gained.sum() < _SURE * np.sqrt(len(gained)) * gained.std())
+    return min((c for c in near if c.structure.order == order), key=lambda c: c.score)

@@ -167,7 +167,7 @@ def level_groups(records: Sequence[Record]) -> list[tuple[list[int], float, floa
         scatter = float(weights @ (value - zero) ** 2) / max(len(members) - 1, 1)
         groups.append((members, zero, float(1.5 * np.sqrt(max(scatter, 1.0) / weights.sum()))))
         open_ = [k for k in open_ if k not in members]
-    return sorted(groups, key=lambda g: -len(g[0]))
+    return groups
 
 
 def rest_level(record: Record, residual: np.ndarray | None = None) -> tuple[float, float]:
