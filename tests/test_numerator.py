@@ -14,7 +14,7 @@ from pitp_jax.method.identify.rational_fit import fit_rational, needs_resonance
 from pitp_jax.method.identify.remarks import UNSTABLE
 
 DT = 0.01
-TIME = np.arange(3000) * DT
+TIME = np.arange(1500) * DT
 SWEEP = chirp(TIME, 0.1, TIME[-1], 12.0, method="logarithmic", phi=-90)
 W = 2 * np.pi * np.array([2.0, 3.0])  # rad/s
 MODE = [1 / W[0] ** 2, 2 * 0.2 / W[0], 1.0]

@@ -27,7 +27,8 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
         return None
     # the period is known to a sample or two after several of them
     lags = {round(k * period) + d for k in range(1, _PERIODS + 1) for d in (-2, -1, 0, 1, 2)}
-    rows = [_at(u, error, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
+    inputs, errors = ((values, np.gradient(values)) for values in (u, error))
+    rows = [_at(inputs, errors, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
     rows = [row for row in rows if row is not None]
     best = min((apart for apart, _ in rows), default=np.inf)
     # of the lags at which the input repeats about as well as at the best
@@ -49,7 +50,7 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
 
     Both are medians over windows; None if too few windows repeat.
     """
-    count = (len(u) - lag) // size
+    count = (len(counts) - lag) // size
     if count < _FEWEST:
         return None
 
@@ -57,19 +58,21 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
         return values[: count * size].reshape(count, size)
 
     both = windows(counts[lag:] & counts[:-lag])
-    spread = windows(u).std(1)
+    spread = windows(u[0]).std(1)
     change, more = (windows(v) for v in _change(u, lag))
     apart = np.sqrt(_square(change, more, np.ones_like(both))) / np.maximum(spread, 1e-30)
-    change, more = (windows(v) for v in _change(error, lag))
-    square = _square(change, more, both)
     # the input repeats there, it moves, and half was observed
     good = (apart < _SAME) & (spread > _MOVING * spread.max()) & (both.mean(1) > 0.5)
-    return (float(np.median(apart[good])), float(np.median(square[good]))) if good.sum() >= _FEWEST else None
+    if good.sum() < _FEWEST:
+        return None
+    change, more = (windows(v) for v in _change(error, lag))
+    return float(np.median(apart[good])), float(np.median(_square(change, more, both)[good]))
 
 
-def _change(values, lag: int):
-    """Return the change of values after `lag` samples, and its derivative by a fraction of a sample."""
-    return values[lag:] - values[:-lag], np.gradient(values)[:-lag]
+def _change(series, lag: int):
+    """Return the change of a series after `lag` samples, and its derivative by a fraction of a sample."""
+    values, slope = series
+    return values[lag:] - values[:-lag], slope[:-lag]
 
 
 def _square(change, more, counts):

@@ -44,7 +44,7 @@ class Beside:
 
     Attributes:
         beginning: initial state as `identify` would find it, with the rig's direction.
-        gain: its own over the median of the set's; nan if unknown.
+        gain: its own, in the output's base unit for a unit force.
         unexplained: residual as a fraction of its standard deviation, with fitted gain and offset.
         tells: whether it determines the direction.
         strange: why it does not belong to the set, or empty.
@@ -192,24 +192,21 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
 
 
 def _relative(rows: Sequence[Beside]) -> list[Beside]:
-    """Divide every record's gain by the median, and note why a record does not belong to the others."""
+    """Compare every record's gain with the median, and note why a record does not belong to the others."""
     gains = np.array([abs(row.gain) if row.tells else np.nan for row in rows])
     if not np.isfinite(gains).any():
-        return [replace(row, gain=float("nan")) for row in rows]
+        return list(rows)
     logs = np.log(gains / np.nanmedian(gains))
-    usual = float(np.median([row.unexplained for row in rows]))
+    usual = _usual(rows)
     # 1.4826 median deviations are a standard deviation, and a few outliers do not change them
     far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
     spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
-    judgements = []
+    judged = []
     for row, log, off in zip(rows, logs, far, strict=True):
-        poor = bool(
-            row.unexplained > _UNEXPLAINED and np.log(row.unexplained / usual) > max(_SPREADS * spread, np.log(3.0))
-        )
-        judgements.append(
-            replace(row, gain=float(np.exp(log)), strange=_strange(row, float(np.exp(log)), bool(off), poor, usual))
-        )
-    return judgements
+        worse = np.log(row.unexplained / usual) > max(_SPREADS * spread, np.log(3.0))
+        poor = bool(row.unexplained > _UNEXPLAINED and worse)
+        judged.append(replace(row, strange=_strange(row, float(np.exp(log)), bool(off), poor, usual)))
+    return judged
 
 
 def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
