@@ -641,6 +641,28 @@ def test_structs_of_controldesk_and_simulink(tmp_path):
     same(read(tmp_path / "b.mat")[0], VOLTAGE, OUTPUT * 1e-3)
 
 
+def test_a_clock_before_every_channel(tmp_path):
+    """The input is held, so its mean over a step of the output's later clock mixes two of its values."""
+    names = ["Time (s)", "HV (V)", "Time (s)", "Laser (mm)"]
+    late = read(csv_of(tmp_path / "a.csv", names, [TIME, VOLTAGE, TIME + 0.3 * TIME[1], OUTPUT]))[0]
+    held = 0.7 * VOLTAGE[:-1] + 0.3 * VOLTAGE[1:]
+    np.testing.assert_allclose(late.voltage[:-1], held, atol=float(1e-6 * np.ptp(VOLTAGE)))
+    np.testing.assert_allclose(late.displacement, OUTPUT * 1e-3, rtol=1e-6)
+    same(read(csv_of(tmp_path / "b.csv", names, [TIME, VOLTAGE, TIME, OUTPUT]))[0], VOLTAGE, OUTPUT * 1e-3)
+    head = ["LabVIEW Measurement", "Separator\tTab", "X_Columns\tMulti", "***End_of_Header***", "Channels\t2"]
+    head += ["Y_Unit_Label\tVolts\t\tMillimeters", "***End_of_Header***", "X_Value\tHV\tX_Value\tLaser\tComment"]
+    rows = ["\t".join(f"{v:.9f}" for v in row) for row in zip(TIME, VOLTAGE, TIME, OUTPUT, strict=True)]
+    (tmp_path / "c.lvm").write_text("\n".join(head + rows) + "\n")
+    same(read(tmp_path / "c.lvm")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+def test_hours_of_half_a_day(tmp_path):
+    noon = datetime(2026, 3, 1, 11, 59, 59, 900_000)
+    clock = [(noon + timedelta(seconds=float(t))).strftime("%I:%M:%S.%f %p") for t in TIME]
+    lines = [f"{c},{u},{x}" for c, u, x in zip(clock, VOLTAGE, OUTPUT, strict=True)]
+    same(read(csv_of(tmp_path / "a.csv", ("Time", "U (V)", "x (mm)"), (), below=lines))[0], VOLTAGE, OUTPUT * 1e-3)
+
+
 def test_patterns_that_the_shell_left_alone(tmp_path):
     for name in ("a1.csv", "a2.csv", "b.csv"):
         save_csv(tmp_path / name, columns())

@@ -25,6 +25,7 @@ _WORD = {
     "voltage": "input (voltage_V, input_rad, ...)",
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
+_FEW = {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 _SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are certainly not seconds
@@ -58,11 +59,6 @@ class Choice:
     def noted(self, note: str) -> "Choice":
         """Return the choice with a further remark for the summary."""
         return replace(self, note=f"{self.note}; {note}" if self.note else note)
-
-    @property
-    def reading(self) -> tuple:
-        """Return the column index and the unit: two readings of a file agree if both are equal."""
-        return self.place, self.unit
 
 
 @dataclass(frozen=True)
@@ -137,7 +133,15 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
         problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
-    elif len(ports) == 2 and all(_port_only(s) for s in ports) and not (options.input_column or options.output_column):
+    elif (
+        len(ports) == 2
+        and not (options.input_column or options.output_column)
+        and all(
+            # a voltage named only input or output, which may mean a port of the DAQ or of the actuator
+            s.kind == "voltage" and s.header.port_only and not s.column.name.startswith(("input_", "output_"))
+            for s in ports
+        )
+    ):
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
@@ -175,11 +179,6 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
         return None
     how = "counts in whole numbers" if whole else f"rises in steps of {step:.3g}"
     return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
-
-
-def _port_only(seen: _Seen) -> bool:
-    """Return whether a voltage is named only input or output, which may mean a port of the DAQ or of the actuator."""
-    return seen.kind == "voltage" and seen.header.port_only and not seen.column.name.startswith(("input_", "output_"))
 
 
 def _seen(place: int, column: Column) -> _Seen:
@@ -303,15 +302,10 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
 
     A DAQ channel comes last, because it may be a monitor of such a column.
     """
-    bare = _bare(data, role)
+    bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
     if any(s.role == role and not s.header.words & _DAQ for s in united):
         return [*united]
     return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
-
-
-def _bare(data: Sequence[_Seen], role: str) -> list[_Seen]:
-    """Return the columns named for a role (input or output) that have no unit."""
-    return [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
@@ -383,7 +377,7 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     if seen.written and quantity != "time":
         return Choice(seen.place, name, seen.written, note)
     if seen.unknown:
-        raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_few(quantity)}")
+        raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_FEW[quantity]}")
     if fits:
         return Choice(seen.place, name, fits, note)
     if seen.unit is None and options.scale(quantity) is not None:
@@ -391,13 +385,7 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     if quantity == "time" and seen.unit is None:
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
     why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is not a unit"
-    raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_few(quantity)}")
-
-
-def _few(quantity: str) -> str:
-    return {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}[
-        quantity
-    ]
+    raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_FEW[quantity]}")
 
 
 def _own_clock(ports: Sequence[_Seen]) -> Choice:
@@ -488,17 +476,13 @@ def _said(seen: Sequence[_Seen], one: _Seen) -> str:
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
     """Return options that state the time: a rising column, or a rate."""
     bare = [s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS]
-    pool = pool or [s for s in bare if _rises(_values(table, s.place))]
+    pool = pool or [s for s in bare if _ticks(_values(table, s.place))]
     if not pool:
         return ["--rate", "RATE"]
     first = pool[0]
     taken.add(first.place)
     named = ["--time-column", _said(seen, first)] if len(pool) > 1 or first.role != "time" else []
     return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
-
-
-def _rises(values: np.ndarray) -> bool:
-    return len(values) > 2 and bool(np.all(np.diff(values) > 0))
 
 
 def _values(table: Table, place: int) -> np.ndarray:

@@ -142,7 +142,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
     # several encodings fit most bytes: the one whose names are words
     table, chosen = max(good, key=lambda one: _legible(one[0].columns))
     for other, choices in good:
-        if {q: c.reading for q, c in choices.items()} != {q: c.reading for q, c in chosen.items()}:
+        if any((choices[q].place, choices[q].unit) != (c.place, c.unit) for q, c in chosen.items()):
             two = [", ".join(f"{OPTIONS[q]} {c}" for q, c in one.items()) for one in (chosen, choices)]
             words = []
             for q, c in chosen.items():
@@ -301,10 +301,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     """Split the rows by the values of a column, in order of first appearance."""
     places = [k for k, c in enumerate(table.columns) if c.name == name]
     if not places:
-        words = "; sheet and group split a file by those" if name in ("sheets", "groups") else ""
-        raise BadInput(
-            f"{table.source}: column {name!r} of --split-by is missing{words}; give one of {listed(table.columns)}"
-        )
+        raise BadInput(f"{table.source}: column {name!r} of --split-by is missing; give one of {listed(table.columns)}")
     whole = _load(table, chosen, options)
     count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
     keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]

@@ -23,7 +23,6 @@ MAX_SAMPLES = 10_000_000  # 80 MB a column in float64
 MAX_BYTES = 1 << 30  # 1 GiB, because a file is read into memory as a whole
 _UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to; a mebibyte is always harmless
 _UNFOLDED_BYTES = 256 << 20  # 256 MiB, or 20 times the size of a large archive
-_PIECE = 1 << 20  # bytes that are read or unpacked at a time
 
 
 def check_columns(count: int, source: str) -> None:
@@ -48,13 +47,18 @@ def check_count(count: int, source: str) -> None:
         )
 
 
+def most_unfolded(size: int) -> int:
+    """Return the largest number of bytes to which an archive of this size may unfold."""
+    return min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size))
+
+
 def check_unfolded(unfolded: int, size: int, source: str) -> None:
     """Refuse an archive whose unpacked size exceeds the limit.
 
     Raises:
         BadInput: with both sizes.
     """
-    if unfolded > min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size)):
+    if unfolded > most_unfolded(size):
         raise BadInput(
             f"{source}: unpacks from {size} to {unfolded} bytes or more (limits: {_UNFOLDED} times its size and "
             f"{_UNFOLDED_BYTES >> 20} MiB); save it uncompressed, or split the recording"
@@ -121,7 +125,7 @@ def gunzip(data: bytes, source: str) -> bytes:
     pieces, total = [], 0
     try:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
-            while piece := file.read(_PIECE):
+            while piece := file.read(_PLAIN):
                 total += len(piece)
                 check_unfolded(total, len(data), source)
                 pieces.append(piece)
@@ -145,17 +149,13 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
         BadInput: too large when unpacked.
         zlib.error: damaged or truncated.
     """
-    engine, pieces, total = zlib.decompressobj(), [], begun
-    while not engine.eof:
-        # piece by piece, so that an excessive result is never in memory
-        piece = engine.decompress(data, _PIECE)
-        data = engine.unconsumed_tail
-        if not piece and not data and not engine.eof:
-            raise zlib.error("truncated")
-        total += len(piece)
-        check_unfolded(total, size, source)
-        pieces.append(piece)
-    return b"".join(pieces)
+    engine = zlib.decompressobj()
+    # one byte more than allowed, so that an excessive result is never in memory
+    whole = engine.decompress(data, most_unfolded(size) + 1)
+    check_unfolded(begun + len(whole), size, source)
+    if not engine.eof:
+        raise zlib.error("truncated")
+    return whole
 
 
 def check_archive(path: Path) -> None:

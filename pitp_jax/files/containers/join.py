@@ -8,17 +8,19 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from ...common.errors import BadInput, cleaned
-from ...common.units import column_names, to_base
+from ...common.units import to_base
 from ...method.signal.checks import sample
 from .choice import agree, choose_columns
 from .formats import open_parts, split_suffix
 from .formats.text import single_column
 from .header import NoTable
+from .names import read_header
 from .options import ReadOptions
 from .table import Column, Parts, Table
 
@@ -30,9 +32,23 @@ def joined_parts(path: Path, options: ReadOptions) -> Parts:
         BadInput: a file cannot be read, or rows do not belong together.
     """
     if not options.join:
-        return open_parts(path, options)
+        return [[_each_clock(table, options) for table in tables] for tables in open_parts(path, options)]
     beside = [_opened(Path(other), options)[0][0] for other in options.join]
     return [[_joined([table, *beside], options) for table in tables] for tables in _opened(path, options)]
+
+
+def _each_clock(table: Table, options: ReadOptions) -> Table:
+    """Join the blocks of a table in which every channel has its own clock before it (`t u t y`)."""
+    names = [column.name for column in table.columns]
+    starts = [place for place, name in enumerate(names) if name == names[0]]
+    each = 1 < len(starts) == 1 + len(names) - len(set(names))  # otherwise one clock, or several recordings
+    if not each or options.time_column or options.rate or read_header(names[0]).role != "time":
+        return table
+    blocks = [
+        replace(table, columns=table.columns[a:b], load=lambda places, a=a: table.load([a + p for p in places]))
+        for a, b in pairwise([*starts, len(names)])
+    ]
+    return _joined(blocks, options)
 
 
 def _opened(path: Path, options: ReadOptions) -> Parts:
@@ -121,7 +137,8 @@ def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) 
 
 
 def _form(tables: Sequence[Table]) -> str:
-    return f"{tables[0].form}, joined with {cleaned(', '.join(table.path.name for table in tables[1:]))}"
+    others = [table.path.name for table in tables if table.path != tables[0].path]
+    return tables[0].form + f", joined with {cleaned(', '.join(others))}" * bool(others)
 
 
 def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Column, ...], list[tuple[Table, int]]]:
@@ -131,17 +148,15 @@ def _columns(tables: Sequence[Table], dropped: dict[int, int]) -> tuple[tuple[Co
         tables: to be joined.
         dropped: the place of an omitted clock, by table.
     """
-    twice = Counter(column.name for table in tables for column in table.columns)
+    twice = Counter(c.name for k, t in enumerate(tables) for p, c in enumerate(t.columns) if dropped.get(k) != p)
     columns: list[Column] = []
     owners: list[tuple[Table, int]] = []
     for k, table in enumerate(tables):
-        stem = cleaned(split_suffix(table.path.name)[0])
         for place, column in enumerate(table.columns):
-            clash = bool(column.name) and (twice[column.name] > 1 or column.name.isdecimal())
             if dropped.get(k) == place:
                 column = Column("", form="text")
-            elif clash and not (k not in dropped and column.name in column_names("time")):
-                column = replace(column, name=f"{stem}/{column.name}")
+            elif column.name and (twice[column.name] > 1 or column.name.isdecimal()):
+                column = replace(column, name=f"{cleaned(split_suffix(table.path.name)[0])}/{column.name}")
             columns.append(column)
             owners.append((table, place))
     return tuple(columns), owners

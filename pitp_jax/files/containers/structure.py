@@ -42,7 +42,15 @@ def keys_in_turn(table: Table, chosen: Sequence[int], time: np.ndarray, signals:
         if not 2 <= len(values) <= _MOST_KEYS or counts.min() < _TURNS or not _in_order(index):
             continue
         within = np.concatenate([np.flatnonzero(index == k) for k in range(len(values))])
-        if _repeats(time) and not _repeats(time[index == 0]) or any(_apart(s, within) for s in signals):
+        if (
+            _repeats(time)
+            and not _repeats(time[index == 0])
+            or any(
+                # the signals are smoother within each key than from row to row
+                _step(s[1:], s[:-1]) > _SMOOTHER * _step(s[within][1:], s[within][:-1])
+                for s in signals
+            )
+        ):
             return table.columns[place].name, list(dict.fromkeys(cleaned(k) for k in keys.tolist()))
     return None
 
@@ -81,12 +89,6 @@ def _strides(values: np.ndarray) -> bool:
     strides = range(2, min(_MOST_KEYS, len(values) // _TURNS) + 1)
     rows = _step(values[1:], values[:-1])
     return any(_SMOOTHER * _step(values[k:], values[:-k]) < rows for k in strides)
-
-
-def _apart(values: np.ndarray, within: np.ndarray) -> bool:
-    """Return whether a signal is much smoother in this order of its rows than from row to row."""
-    keyed = values[within]
-    return _step(values[1:], values[:-1]) > _SMOOTHER * _step(keyed[1:], keyed[:-1])
 
 
 def _step(after: np.ndarray, before: np.ndarray) -> float:

@@ -53,7 +53,10 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
     check_columns(max((len(row) for _, row in filled), default=0), source)
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
-    decimal = options.decimal or ("," if _texts_with_commas(filled) else ".")
+    last = [cell for _, row in filled[-_HEAD:] for cell in row if cell is not None]
+    # most numbers are stored as texts with a decimal comma
+    commas = 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in last) > len(last)
+    decimal = options.decimal or ("," if commas else ".")
     cells = {k: [_shown(cell, decimal) for cell in (*row, *[None] * width)[:width]] for k, row in rows}
     numbers = [k for k, _ in filled[:_HEAD]]
     head = Rows([cells[k] for k in numbers], numbers, [False] * len(numbers))
@@ -85,9 +88,3 @@ def _shown(value: Any, decimal: str) -> str:
     if isinstance(value, float):
         return repr(value).replace(".", decimal)
     return "" if value is None else cleaned(value).strip()
-
-
-def _texts_with_commas(rows: list[tuple[int, tuple]]) -> bool:
-    """Return whether a sheet stores most numbers as texts with a decimal comma."""
-    cells = [cell for _, row in rows[-_HEAD:] for cell in row if cell is not None]
-    return 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in cells) > len(cells)

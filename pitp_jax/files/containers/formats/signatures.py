@@ -19,7 +19,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     """Return the layout of a LabVIEW measurement file (.lvm); None for any other text.
 
     Raises:
-        BadInput: no names below its last header, or a clock for every channel.
+        BadInput: no names below its last header.
     """
     if not lines[0].lower().startswith(_LABVIEW):
         return None
@@ -31,10 +31,6 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     first = 1 + max((k for k, row in enumerate(rows) if row[0].lower() == _END), default=len(rows))
     if len(rows) <= first + 1:
         raise BadInput(f"{source}: a LabVIEW file without a table below its header; write it again")
-    if clock.lower() == "multi":
-        raise BadInput(
-            f"{source}: LabVIEW wrote one clock per channel (X_Columns Multi); write one clock for all (X_Columns One)"
-        )
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
     if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names omitted
         names = ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
@@ -63,9 +59,9 @@ def twincat(lines: Sequence[str], source: str) -> Layout | None:
     first = 1 + max(k for k, row in enumerate(rows) if row[0].lower() in keyed and not row[0].isdigit())
     columns = []
     for k in range(0, len(names) - 1, 2):
-        own = Column("time", clock.partition("[")[2].strip("]")) if k == 0 else Column("", form="text")
-        columns += [own, Column(cleaned(names[k + 1]), units[k + 1] if units else None)]
-    return Layout("\t", ".", tuple(columns), first, len(columns), ("TwinCAT Scope, the clock of its first channel",))
+        columns.append(Column("time", clock.partition("[")[2].strip("]")))
+        columns.append(Column(cleaned(names[k + 1]), units[k + 1] if units else None))
+    return Layout("\t", ".", tuple(columns), first, len(columns), ("TwinCAT Scope",))
 
 
 SIGNATURES: tuple[Callable[[Sequence[str], str], Layout | None], ...] = (labview, twincat)

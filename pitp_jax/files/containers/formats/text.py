@@ -124,7 +124,7 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     check_count(body.count(b"\n"), source)
 
     def place(sample: int) -> str:
-        return f"sample {sample} (line {_line_of(path, sample, above, layout.separator)})"
+        return f"sample {sample} (line {_line_of(path, sample, above)})"
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
         values = _parse(body, layout, places, encoding)
@@ -154,13 +154,10 @@ def plain_text(path: Path, source: str) -> bytes:
         data = gunzip(data, source)
     elif zipped:
         raise BadInput(f"{source}: is a gzip file although its suffix is one of text; rename it to end in .gz")
-    if data.startswith((b"\xff\xfe", b"\xfe\xff")):
-        wide = "utf-16"
-    # every second byte is zero: UTF-16 of plain text without its mark
-    elif data[1:400:2].count(0) > 0.9 * len(data[1:400:2]) > 3:
-        wide = "utf-16-le"
-    elif data[0:400:2].count(0) > 0.9 * len(data[0:400:2]) > 3:
-        wide = "utf-16-be"
+    for order, half in (("utf-16-le", data[1:400:2]), ("utf-16-be", data[0:400:2])):
+        # every second byte is zero: UTF-16 of plain text without its mark
+        wide = order if half.count(0) > 0.9 * len(half) > 3 else wide
+    wide = "utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else wide
     if wide:
         try:
             data = data.decode(wide).encode("utf-8")
@@ -264,7 +261,10 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
     commented = [line.lstrip(' "').startswith(COMMENTS) and not _QUOTED_MARK.match(line) for line in lines]
     plain = [line for line, comment in zip(lines, commented, strict=True) if not comment]
     separator, decimal = _dialect(plain, options, source)
-    bare = [_bare(line) if comment else line for line, comment in zip(lines, commented, strict=True)]
+    bare = [
+        line.strip().strip('"').lstrip("#%/! \t") if comment else line
+        for line, comment in zip(lines, commented, strict=True)
+    ]
     cells = [cells_of(line, separator) for line in bare]
     cells = _recut(bare, cells, commented, separator, decimal)
     marked = _durations(cells, decimal)
@@ -322,10 +322,6 @@ def _with_durations(layout: Layout, marked: dict[int, str]) -> Layout:
     return replace(layout, columns=tuple(columns))
 
 
-def _bare(line: str) -> str:
-    return line.strip().strip('"').lstrip("#%/! \t")
-
-
 def cells_of(line: str, separator: str) -> list[str]:
     """Split a line into cells, without blanks around them."""
     if separator == " ":
@@ -376,29 +372,24 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
     return good / filled * many / len(rows)
 
 
-def _line_of(path: Path, sample: int, above: int, separator: str) -> int:
+def _line_of(path: Path, sample: int, above: int) -> int:
     """Return the line number of a sample, counted from 1; the file is read again for it."""
     lines = enumerate(plain_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
-    filled = (number for number, line in lines if _is_row(line, separator))
+    filled = (number for number, line in lines if _is_row(line))
     return next(islice(filled, sample, None), above + 1 + sample)
 
 
-def _is_row(line: bytes, separator: str) -> bool:
+def _is_row(line: bytes) -> bool:
     """Return whether a line holds cells: it is neither empty nor a comment."""
     return bool(line.strip()) and not line.startswith(_MARKS)
-
-
-def _first_bytes(body: bytes) -> np.ndarray:
-    """Return the first byte of every line except the first."""
-    codes = np.frombuffer(body, dtype=np.uint8)
-    return codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1]
 
 
 def _rows_only(body: bytes, layout: Layout) -> bytes:
     """Drop comment lines, blank lines, and empty rows at the end of the text."""
     # one pass over the lines: a search for each mark took a ninth of the reading of a long file
-    if np.isin(_first_bytes(body), _NO_ROW).any():
-        body = b"\n".join(line for line in body.split(b"\n") if _is_row(line, layout.separator))
+    codes = np.frombuffer(body, dtype=np.uint8)
+    if np.isin(codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1], _NO_ROW).any():
+        body = b"\n".join(line for line in body.split(b"\n") if _is_row(line))
     # rows of separators alone, which a spreadsheet leaves below its data
     kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
     end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
