@@ -6,6 +6,7 @@ feedback:  var(u_t | earlier u, y up to t) / var(u_t | earlier u)      least squ
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..numerics.coloured_noise import project
 from ..signal.initial_state import noise_std
@@ -53,16 +54,10 @@ def _fed_back(problem: Problem) -> bool:
     alone = beside = 0.0
     for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
         y = np.where(weight > 0, output, output[weight > 0].mean())
-        rows = range(_LAGS, len(drive))
-        if len(rows) < 4 * _LAGS:
-            continue
-        inputs = np.column_stack(
-            [*(drive[_LAGS - k : len(drive) - k] for k in range(1, _LAGS + 1)), np.ones(len(rows))]
-        )
-        outputs = np.column_stack([y[_LAGS - k : len(y) - k] for k in range(_LAGS + 1)])
-        for columns, both in ((inputs, False), (np.column_stack([inputs, outputs]), True)):
-            rest = project(drive[_LAGS:], columns)[1]
-            alone, beside = alone + float(rest @ rest) * (not both), beside + float(rest @ rest) * both
+        past, outputs = (sliding_window_view(series, _LAGS + 1) for series in (drive, y))
+        inputs = np.column_stack([past[:, :-1], np.ones(len(past))])
+        rest, less = (project(drive[_LAGS:], c)[1] for c in (inputs, np.column_stack([inputs, outputs])))
+        alone, beside = alone + float(rest @ rest), beside + float(less @ less)
     moved = sum(float(np.sum((drive - drive.mean()) ** 2)) for drive in problem.drive)
     return beside < _FED_BACK * alone and alone > _PREDICTED * moved
 

@@ -27,7 +27,6 @@ from ..numerics.intersample import between
 
 _FINER = 4
 _APART = 1e-5  # of a pole: two nearer ones are separated, which changes a response by less than 1e-9
-_TERMS = 24
 
 
 def _factors(logs: np.ndarray) -> list[np.ndarray]:
@@ -99,7 +98,7 @@ def _phi(z: complex, k: int) -> complex:
     """Compute phi_k(z), by a power series near zero, where the closed form cancels."""
     if abs(z) < 1:
         term = total = 1 / factorial(k) + 0j
-        for j in range(1, _TERMS):
+        for j in range(1, 24):
             term *= z / (j + k)
             total += term
         return total
@@ -147,22 +146,15 @@ def respond(
 
 
 def respond_with_slopes(
-    logs: Float[np.ndarray, " n"],
-    drive: Float[np.ndarray, " time"],
-    *,
-    step: float,
-    square: bool,
-    hold: str,
-    settled: bool = False,
-    late: float = 0.0,
+    logs: Float[np.ndarray, " n"], drive: Float[np.ndarray, " time"], **how
 ) -> tuple[Float[np.ndarray, " time"], Float[np.ndarray, "n time"], Float[np.ndarray, " time"]]:
     """Simulate as `respond` does; return the response, its derivatives by the logarithms, and its time derivative."""
-    runs = _simulated(logs, drive, True, step, square, hold, settled, late)
+    runs = _simulated(logs, drive, True, **how)
     return runs[0], runs[1:-1], runs[-1]
 
 
 def _simulated(
-    logs: np.ndarray, drive: np.ndarray, slopes: bool, step: float, square: bool, hold: str, settled: bool, late: float
+    logs: np.ndarray, drive: np.ndarray, slopes: bool, step: float, square: bool, hold: str, settled=False, late=0.0
 ) -> Float[np.ndarray, "rows time"]:
     """Return the response; with `slopes` its derivatives by the logarithms and by time in the rows below it."""
     if hold == "bandlimited":

@@ -86,6 +86,11 @@ class Problem:
     fine: float
 
     @property
+    def forces(self) -> list[np.ndarray]:
+        """Return the force of every record, V^2 or V, shapes (T_r,)."""
+        return [drive**2 if self.square else drive for drive in self.drive]
+
+    @property
     def samples(self) -> float:
         """Return the number of measured samples of all records that count."""
         return float(sum(w.sum() for w in self.weight))

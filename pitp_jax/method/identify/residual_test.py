@@ -61,8 +61,7 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
     for k, residual in enumerate(solve(params, structure, problem).residuals):
-        drive, weight = problem.drive[k], problem.weight[k]
-        force = drive**2 if problem.square else drive
+        force, weight = problem.forces[k], problem.weight[k]
         force = weight * (force - weight @ force / max(weight.sum(), 1.0))
         sums += np.stack(
             # sum_t a_t b_{t+k} for k = -long ... long

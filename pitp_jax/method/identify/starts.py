@@ -7,6 +7,7 @@ Noise biases these poles; the fit that starts from them removes the bias. Source
 """
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from ..signal.reduced import means
 from .linear_ode import bounded, logs_from_roots, poles
@@ -48,8 +49,7 @@ def cost_of(params, structure: Structure, problem: Problem) -> float:
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
     """Return several initial guesses of the poles (rad/s) of a model of this order."""
     tried = [roots for size in (1, 4, 16) for late in (0, 2) for roots in _arx(order, problem, size, late)]
-    longest = max(len(d) for d in problem.drive)
-    grid = np.geomspace(4 * np.pi / longest, 1.0, _GRID) / problem.dt
+    grid = np.geomspace(4 * np.pi / problem.seconds, 1 / problem.dt, _GRID)
     if order == 1:
         tried += [-grid[k : k + 1] for k in range(_GRID)]
     if order == 2:
@@ -70,25 +70,21 @@ def one_more(logs: np.ndarray) -> list[np.ndarray]:
 def _arx(order: int, problem: Problem, size: int, late: int) -> list[np.ndarray]:
     """Return the poles (rad/s) of an ARX model of means over `size` samples; none if it cannot be solved."""
     rows, targets = [], []
-    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+    for force, output, weight in zip(problem.forces, problem.output, problem.weight, strict=True):
         seen = np.flatnonzero(weight)
         filled = np.interp(np.arange(len(output)), seen, output[seen])
-        force = drive**2 if problem.square else drive
         force = np.append(np.full(late, force[0]), force)[: len(force)]
         u, y = means(force, size), means(filled, size)
-        count = len(y) - order
-        if count <= order + 4:
+        if len(y) <= 2 * order + 4:
             continue
-        columns = [u[order - i :][:count] for i in range(order + 1)] + [
-            -y[order - i :][:count] for i in range(1, order + 1)
-        ]
-        regressors = np.column_stack(columns)
+        inputs, outputs = (sliding_window_view(series, order + 1) for series in (u, y))
+        regressors, target = np.column_stack([inputs, -outputs[:, :-1]]), outputs[:, -1]
         rows.append(regressors - regressors.mean(0))
-        targets.append(y[order:] - y[order:].mean())
+        targets.append(target - target.mean())
     if not rows or max(map(len, rows)) < 7 * order + 16:
         return []
     theta = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=1e-12)[0]
-    roots = np.roots(np.append(1.0, theta[order + 1 :]))
+    roots = np.roots(np.append(theta[order + 1 :], 1.0)[::-1])
     if len(roots) != order or not np.isfinite(roots).all() or (np.abs(roots) < 1e-9).any():
         return []
     # reflected at the unit circle: the same size at every frequency, and stable

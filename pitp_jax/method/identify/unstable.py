@@ -61,8 +61,7 @@ def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
 def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
     """Fit gains, offsets and free responses; return the residual of all records over sqrt(number of samples)."""
     parts = []
-    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
-        force = drive**2 if problem.square else drive
+    for force, output, weight in zip(problem.forces, problem.output, problem.weight, strict=True):
         run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean())
         rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
         parts.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
