@@ -18,7 +18,6 @@ from ...method.simulate import ports
 
 _LEVELS = (0.1, 0.25, 0.5, 0.75, 1.0)  # fractions of the stroke that voltages can hold
 _SCANNED, _SECTIONS = 65, 6  # displacements of one section, and sections: the last one is 1e-11 of the stroke wide
-_DOUBLINGS = 100  # of the voltage, if a model has no range
 
 
 @dataclass(frozen=True)
@@ -110,7 +109,7 @@ def _voltages(model: Model) -> tuple[float, float]:
         return low, high
     force = 2 * float(model.scales.force)
     top = force**0.5 if model.input_map.one_sided else force
-    for _ in range(_DOUBLINGS):
+    for _ in range(100):
         if _force(model, top) >= force:
             break
         top *= 2

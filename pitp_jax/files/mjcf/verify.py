@@ -20,8 +20,6 @@ from ...method.signal.sets import check_records
 from .joint import mujoco_package
 from .play import play
 
-_BLOCKS = 8  # of each recording
-
 
 @dataclass(frozen=True)
 class Played:
@@ -82,9 +80,7 @@ class Verification:
             scale = p.record.span
             gain = (p.before - p.record.displacement) ** 2 - (p.after - p.record.displacement) ** 2
             gains += [
-                float(np.nanmean(block)) / scale**2
-                for block in np.array_split(gain, _BLOCKS)
-                if np.isfinite(block).any()
+                float(np.nanmean(block)) / scale**2 for block in np.array_split(gain, 8) if np.isfinite(block).any()
             ]
         if not all(np.isfinite(p.after).any() for p in runs):
             return False

@@ -10,26 +10,21 @@ import jax.numpy as jnp
 
 from .spec import EffectSpec, Parameter
 
-_ALONG = Parameter("b", "1/x", length=-1, positive=False, off=0.0)
-_INVERSE = Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False)
-
 
 def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
     """Build a catalogue entry: F times a positive factor that depends on x; the inverse divides by it."""
     return EffectSpec(
-        "stretch_coupling", form, (_ALONG,), title, equation, "coupling", "SQ",
+        "stretch_coupling", form, (Parameter("b", "1/x", length=-1, positive=False, off=0.0),), title, equation,
+        "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
     )  # fmt: skip
 
 
-def _no_field(force, possible, inside):
-    """Return the film's force for a wanted force; infinite if no electric field can produce it."""
-    return jnp.where(possible, inside, jnp.sign(force) * jnp.inf)
-
-
 def _unsaturated(p, force, x):
+    """Return the film's force for a wanted force; infinite if no electric field can produce it."""
     remains = 1 - p.inverse * jnp.abs(force)  # of the limit F_s, as a fraction of it
-    return _no_field(force, remains > 0, force / jnp.where(remains > 0, remains, 1.0))
+    inside = force / jnp.where(remains > 0, remains, 1.0)
+    return jnp.where(remains > 0, inside, jnp.sign(force) * jnp.inf)
 
 
 COUPLING = (
@@ -43,7 +38,8 @@ COUPLING = (
         lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
     ),
     EffectSpec(
-        "dielectric_saturation", "rational", (_INVERSE,), "At high field the force grows less than with the square of "
+        "dielectric_saturation", "rational", (Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False),),
+        "At high field the force grows less than with the square of "
         "the voltage.",
         "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",
         law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,

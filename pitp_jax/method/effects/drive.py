@@ -34,7 +34,6 @@ def last_lag(p, w, z):
 
 
 _AT_ONCE = 0.05  # of the integral of the input
-_SLEW = Parameter("inverse", "s/V", off=0.0, linear=False)
 
 
 def _led_force(p, v, dt):
@@ -80,7 +79,8 @@ DRIVE = (
         passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag", only_given=True,
     ),
     _drive(
-        "slew_limit", "rate limit", (_SLEW,), "The amplifier cannot change its voltage faster than a limit.",
+        "slew_limit", "rate limit", (Parameter("inverse", "s/V", off=0.0, linear=False),),
+        "The amplifier cannot change its voltage faster than a limit.",
         "V follows u with |V'| <= s, inverse = 1 / s", kernel=slew(),
         law=lambda p, u, z: jnp.where(p.inverse > 0, z[0], u), inverse=lambda p, v, dt: v,
         passes=lambda p, v, dt: jnp.abs(slope(v, dt)) * p.inverse <= 1.0,

@@ -68,10 +68,10 @@ FORCE_LIMIT = (
         law=_saturated,
     ),
 )  # fmt: skip
-_FALL = Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False)
 SLACK = (
     EffectSpec(
-        "slack", "free fall", (_FALL,), "The actuator can only pull the load; otherwise the load falls freely.",
+        "slack", "free fall", (Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False),),
+        "The actuator can only pull the load; otherwise the load falls freely.",
         "x'' >= -g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall,
     ),
 )  # fmt: skip

@@ -20,7 +20,6 @@ from .spec import EffectSpec, Parameter
 _SLOW = 15.0  # times the plant's time constant: creep above, relaxation below
 _GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
 _STRENGTH = Parameter("kappa", off=0.0)
-_BRANCH = (_STRENGTH, Parameter("tau", "s"))
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
@@ -51,7 +50,8 @@ def _loop(form: str, parameters: tuple, about: str, equation: str, **how) -> tup
 
 def _branch(name: str, title: str, **how) -> EffectSpec:
     return EffectSpec(
-        name, "one branch", _BRANCH, title, "f = k kappa (x - z), tau z' = x - z", "viscoelastic", "K",
+        name, "one branch", (_STRENGTH, Parameter("tau", "s")), title,
+        "f = k kappa (x - z), tau z' = x - z", "viscoelastic", "K",
         kernel=lag(), law=lambda p, now: now.k * p.kappa * (now.x - now.z[0]), reported=_by_time, stiffens=True, **how,
     )  # fmt: skip
 

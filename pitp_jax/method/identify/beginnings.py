@@ -30,7 +30,7 @@ from .starts import cost_of, guesses
 _PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
 _MOST = 100_000  # samples used to find the poles
 _STARTS = 3  # initial guesses, each with the sensor directions it implies, that are fitted
-_STRUCTURE, _ROUNDS = Structure(2), 4
+_STRUCTURE = Structure(2)
 _CLEAN = 1.2  # times the noise: largest residual of a model without error
 
 
@@ -49,7 +49,7 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
     clean = _only_noise(cost, small)
     decided: list[Beginning] = []
     known = [r is b for r, b in zip(records, begun, strict=True)]
-    for _ in range(_ROUNDS):
+    for _ in range(4):
         # a record beside the offsets of the others that start at rest
         zeros = [{b.zero for m, b in enumerate(decided) if b.begins == "rest" and m != k} for k in range(len(begun))]
         starts = [start_beside(r, input_map, *poles, sorted(z)) for r, z in zip(begun, zeros, strict=True)]

@@ -23,7 +23,7 @@ from .order_fit import identifiable
 from .output_error import Problem, Structure, least_squares, poles_of
 from .starts import best_starts, guesses, one_more
 
-NEAR, TIE = 1.03, 1.01
+NEAR = 1.03
 _ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
 _HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
@@ -67,7 +67,7 @@ def search(
             if not ends:
                 continue
             structure, end = min(ends, key=lambda e: e[1][1])
-            if delayed and len(delays) > 1 and np.exp(end[0][-1]) <= _DELAY * problem.fine:
+            if delayed and np.exp(end[0][-1]) <= _DELAY * problem.fine:
                 continue
             here.append(_scored(structure, end, problem))
         if not here:
@@ -173,5 +173,5 @@ def choose(candidates: Sequence[Candidate]) -> Candidate:
     fewest = min(c.structure.complexity for c in near)
     near = [c for c in near if c.structure.complexity == fewest]
     least = min(c.score for c in near)
-    order = min(c.structure.order for c in near if c.score <= TIE * least)
+    order = min(c.structure.order for c in near if c.score <= 1.01 * least)
     return min((c for c in near if c.structure.order == order), key=lambda c: c.score)

@@ -18,16 +18,12 @@ import optimistix
 from jaxtyping import Array, Float, Inexact
 
 from ..numerics.where import where
-from .frequency_response import FrequencyResponse
+from .frequency_response import LINES, FrequencyResponse
 from .linear_ode import logs_from_roots, polynomial
 
 ORDERS = tuple(range(1, 7))
 _PAIRS = 3
-_LEAST = 0.02  # of |G|: no response is linear to better than this
-_LINES = 256
-_ROUNDS, _STEPS = 8, 60
 DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
-_RIDGE = 1e-4
 
 
 def fit_response(
@@ -38,7 +34,7 @@ def fit_response(
     s, value, weight, held, unit = lines
     shapes = [(order, delayed) for order in orders for delayed in delays]
     rows = [(_start(*shape, lines, unit * dt), _mask(*shape)) for shape in shapes]
-    pad = _LINES - len(s)  # padded to one shape with weight 0, so that one program serves every record
+    pad = LINES - len(s)  # padded to one shape with weight 0, so that one program serves every record
     data = [np.pad(a, (0, pad)) for a in (np.imag(s), np.real(value), np.imag(value), weight, held)]
     with jax.enable_x64(True):
         fixed = [jnp.asarray(a) for a in data]
@@ -67,7 +63,8 @@ class Lines(NamedTuple):
         """Select the frequencies at which a response, sampled every `dt` seconds, is coherent."""
         known = np.flatnonzero(response.coherent)
         hz, value = response.hz[known], response.value[known]
-        weight = 1 / np.maximum(response.stderr[known], _LEAST * np.abs(value))
+        # no response is linear to better than 2 %
+        weight = 1 / np.maximum(response.stderr[known], 0.02 * np.abs(value))
         # powers of s up to six stay of order one
         unit = 2 * np.pi * float(np.exp(np.log(hz).mean()))
         return cls(2j * np.pi * hz / unit, value, weight, np.sinc(hz * dt) ** 2, unit)
@@ -83,7 +80,7 @@ def _least_squares(start: Array, mask: Array, data: list[Array]) -> np.ndarray:
     """Return the fitted parameters of one order. Orders are fitted one by one: a batch compiles twice as long."""
     solver = optimistix.LevenbergMarquardt(rtol=1e-6, atol=1e-9)
     solution = optimistix.least_squares(
-        _residual, solver, start, args=(start, mask, *data), max_steps=_STEPS, throw=False
+        _residual, solver, start, args=(start, mask, *data), max_steps=60, throw=False
     )  # fmt: skip
     return np.asarray(solution.value)
 
@@ -102,7 +99,7 @@ def equation_error(
     """
     s, size, a = lines.s, np.ones(len(lines.s)), np.ones(order + 1)
     value, powers = lines.value / lines.held * np.exp(s * late), s[:, None] ** np.arange(max(order, zeros) + 1)
-    for _ in range(_ROUNDS):
+    for _ in range(8):
         rows = np.column_stack([powers[:, : order + 1] * value[:, None], -powers[:, : zeros + 1]])
         rows = rows * (lines.weight * np.abs(lines.held) * size)[:, None]
         rows = np.vstack([rows.real, rows.imag])
@@ -165,4 +162,4 @@ def _residual(p: Float[Array, " numbers"], given) -> Float[Array, " rows"]:
     # g is linear and real: it is projected out, so it needs no start
     gain = jnp.sum((own.conj() * weight * value).real) / jnp.maximum(jnp.sum(jnp.abs(own) ** 2), 1e-300)
     misfit = gain * own - weight * value
-    return jnp.concatenate([misfit.real, misfit.imag, _RIDGE * (p - start)])
+    return jnp.concatenate([misfit.real, misfit.imag, 1e-4 * (p - start)])

@@ -18,10 +18,9 @@ from scipy.signal.windows import tukey
 from .output_error import Problem
 
 _HALF, _DEGREE = 6, 2  # lines on either side; degree of the polynomials
-_LINES = 256  # at most, over all records
+LINES = 256  # at most, over all records
 _EXCITED = 1e-3  # of the largest local energy: a line below it is not excited
 _TAPER = 0.2  # fraction of the record: without a taper, the jump from end to start looks like excitation
-_COHERENT = 0.8
 _FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of highest to lowest, needed to distinguish orders
 
 
@@ -37,7 +36,7 @@ class FrequencyResponse:
     @property
     def coherent(self) -> np.ndarray:
         """Return True for the frequency lines whose coherence is at least 0.8, shape (lines,)."""
-        return self.coherence >= _COHERENT
+        return self.coherence >= 0.8
 
     @property
     def rich(self) -> bool:
@@ -51,19 +50,18 @@ UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros
 
 def frequency_response(problem: Problem) -> FrequencyResponse:
     """Measure the frequency response of every record at logarithmically spaced frequencies, sorted by Hz."""
-    each = max(_LINES // len(problem.drive), 8)
+    each = max(LINES // len(problem.drive), 8)
     parts = []
-    for drive, output, weight in zip(problem.drive, problem.output, problem.weight, strict=True):
+    for force, output, weight in zip(problem.forces, problem.output, problem.weight, strict=True):
         seen = np.flatnonzero(weight)
         if len(seen) < 0.9 * len(weight) or len(weight) < 8 * _HALF:
             continue
         filled = np.interp(np.arange(len(output)), seen, output[seen])
-        force = drive**2 if problem.square else drive
         parts.append(_local(force - force.mean(), filled - filled.mean(), problem.dt, each))
     if not parts:
         return UNKNOWN_RESPONSE
     hz, value, stderr, coherence = (np.concatenate(p) for p in zip(*parts, strict=True))
-    order = np.argsort(hz)[-_LINES:]
+    order = np.argsort(hz)[-LINES:]
     return FrequencyResponse(hz[order], problem.scale * value[order], problem.scale * stderr[order], coherence[order])
 
 

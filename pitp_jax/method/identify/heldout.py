@@ -16,8 +16,7 @@ import numpy as np
 from ..model.origin import OutOfFold
 from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, solve
 
-_FOLDS, _STEPS, _LEAST_STEP = 3, 4, 1e-3
-_LEAST = 1e-3  # of the output: no record resolves less
+_FOLDS = 3
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,8 @@ class Candidate:
     @property
     def score(self) -> float:
         """Return the held-out error as a fraction of the output's deviation, at least 0.1 %."""
-        return float(np.hypot(self.heldout.score, _LEAST))
+        # no record resolves less
+        return float(np.hypot(self.heldout.score, 1e-3))
 
 
 def out_of_fold(heldout: HeldOut, problem: Problem) -> OutOfFold:
@@ -78,7 +78,7 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
         numbers = [np.repeat(np.arange(3 * _FOLDS) - k - fold, np.diff(e)) for k, e in enumerate(edges)]
         rest = masked(problem, [n % _FOLDS > 0 for n in numbers])
         # start from the fit of all samples; a few steps undo the influence of the third left out
-        refitted = least_squares(params, structure, rest, _STEPS, _LEAST_STEP)[0]
+        refitted = least_squares(params, structure, rest, 4, 1e-3)[0]
         solved = solve(refitted, structure, rest)
         for k, e in enumerate(edges):
             run = solved.gains[0] * driven(refitted, structure, problem, k)

@@ -296,17 +296,15 @@ def _candidates(
     Raises:
         ComputationFailed: none of them could be simulated.
     """
-    asked = {
-        "orders": ORDERS if order == "auto" else (int(order),),
-        "holds": _HOLDS if hold is None else (hold,),
-        "delays": [False] if "delay" in leave_out else [False, True],
-    }
-    candidates = search(small, response, **asked, progress=progress)
+    candidates = search(
+        small, response, orders=ORDERS if order == "auto" else (int(order),), holds=_HOLDS if hold is None else (hold,),
+        delays=[False] if "delay" in leave_out else [False, True], progress=progress,
+    )  # fmt: skip
     if not candidates:
         raise ComputationFailed(
             "no order could be simulated on these recordings; check the units and the sampling of the columns"
         )
-    if "delay" in learn:  # prefer the delay wherever it does not vanish
+    if "delay" in learn:
         # orders whose delay did not vanish
         late = {c.structure.order for c in candidates if c.structure.delayed}
         candidates = [c for c in candidates if c.structure.delayed or c.structure.order not in late]

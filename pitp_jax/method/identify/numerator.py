@@ -22,11 +22,8 @@ from .linear_ode import coast, logs_from_roots, poles
 from .output_error import Problem
 from .rational_fit import PEAK, Rational, fit_rational
 
-_ORDERS, _ZEROS = (1, 2, 3, 4), (1, 2)
 _LESS = 0.5  # of the error: what a model with zeros must leave
 _BESIDE = 2.0  # zero over pole of a lag that adds less than the whole of the motion
-_HOLDS = ("foh", "zoh")
-_MOST = 15  # evaluations of the last fit
 _SMALL = 0.02  # of the output's deviation: an error that needs no reason
 
 
@@ -73,12 +70,12 @@ def needed_zeros(chosen: Candidate, problem: Problem, response: FrequencyRespons
     without = float(np.sqrt(chosen.cost * problem.samples)) / deviation
     if without < _SMALL or not response.rich:
         return None
-    for order in _ORDERS:
+    for order in (1, 2, 3, 4):
         plain = fit_rational(response, problem.fine, order)
         most = _LESS * min(
             without, np.linalg.norm(_left(plain.poles, plain.delay, slice(1), problem, hold)[0]) / deviation
         )
-        for zeros in _ZEROS[:order]:
+        for zeros in (1, 2)[:order]:
             found = fit_rational(response, problem.fine, order, zeros)
             rest, _ = _left(found.poles, found.delay, slice(zeros + 1), problem, hold)
             if np.linalg.norm(rest) < most * deviation:
@@ -98,12 +95,12 @@ def _creeps(fitted: Numerator) -> bool:
 def _fitted(found: Rational, zeros: int, problem: Problem, deviation: float, without: float) -> Numerator:
     """Fit poles, delay and numerator to the recordings under either hold, with as many zeros at 0 Hz as fit as well."""
     start, fits = np.append(logs_from_roots(found.poles), found.delay / problem.dt), []
-    for hold, lowest in product(_HOLDS, range(zeros + 1)):
+    for hold, lowest in product(("foh", "zoh"), range(zeros + 1)):
 
         def left(p, hold=hold, lowest=lowest):
             return _left(poles(p[:-1]), p[-1] * problem.dt, slice(lowest, zeros + 1), problem, hold)
 
-        fit = least_squares(lambda p, left=left: left(p)[0], start, x_scale=0.1, max_nfev=_MOST)
+        fit = least_squares(lambda p, left=left: left(p)[0], start, x_scale=0.1, max_nfev=15)
         factors = np.append(np.zeros(lowest), left(fit.x)[1])
         error = float(np.sqrt(2 * fit.cost)) / deviation
         fits.append(Numerator(poles(fit.x[:-1]), np.roots(factors[::-1]), error, without))
@@ -117,8 +114,10 @@ def _left(roots: np.ndarray, delay: float, powers: slice, problem: Problem, hold
     a = np.poly(roots / unit).real[::-1]
     system = np.vstack([np.eye(n)[1:], -a[:n]]), np.eye(n)[:, -1:], np.eye(n), np.zeros((n, 1))
     rows, target = [], []
-    for drive, output, weight, b in zip(problem.drive, problem.output, problem.weight, problem.beginnings, strict=True):
-        force, time = drive**2 if problem.square else drive, np.arange(len(drive)) * problem.dt
+    for force, output, weight, b in zip(
+        problem.forces, problem.output, problem.weight, problem.beginnings, strict=True
+    ):
+        time = np.arange(len(force)) * problem.dt
         late = np.interp(time - delay, time, force) - (force[0] if b.begins != "rest" else 0.0)
         x = lsim(system, late, time * unit, interp=hold != "zoh")[1].reshape(len(time), n)
         own = [np.ones(len(time))]

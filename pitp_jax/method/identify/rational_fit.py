@@ -20,7 +20,6 @@ from .linear_ode import logs_from_roots, poles
 
 PEAK = 0.5**0.5  # damping below which a pole pair has a resonance peak
 _CLEARLY = 0.8  # of the error, beside one standard error: what a fit with a peak leaves where it needs one
-_MOST = 40
 
 
 @dataclass(frozen=True)
@@ -67,7 +66,7 @@ def fit_rational(
     fits = []
     for origin in (False, True)[: 1 + (zeros > 0)]:
         start = min((begin(d, origin) for d in (0.0, *DELAYS)), key=lambda p: float(np.sum(misfit(p) ** 2)))
-        fits.append(least_squares(misfit, start, bounds=(low, high), max_nfev=_MOST, x_scale="jac"))
+        fits.append(least_squares(misfit, start, bounds=(low, high), max_nfev=40, x_scale="jac"))
     fit = min(fits, key=lambda f: f.cost)
     logs = damped(fit.x)
     found = np.roots(projected(lines, logs, fit.x[-1] * step, zeros)[1][::-1])

@@ -16,9 +16,7 @@ from ..model.programs import in_double
 from .change_programme import Wish, best_change, second_differences
 from .self_check import Played, play
 
-_STEPS = 10  # of Gauss-Newton
 _GAIN = 2e-3  # relative gain of the objective below which it ends
-_SHORTEST = 1 / 16  # of a change
 _SWING = 1e-4  # of the first voltage's error: the cost of a voltage that oscillates at the resonance
 _SMOOTH = 0.03  # of it at most: the cost of the first voltage's own curvature
 _BEYOND = 1e3  # weight of a reading beyond its limit
@@ -41,7 +39,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
             return first
         rho = _smoothness(model, wish, first)
         cost = _cost(wish, now, size, rho)
-        for _ in range(_STEPS):
+        for _ in range(10):  # steps of Gauss-Newton
             change = best_change(model, wish, now, size, rho)
             length = 1.0
             while True:
@@ -49,7 +47,7 @@ def nearest_motion(model: Model, wish: Wish, first: np.ndarray) -> np.ndarray:
                 if (ahead := _cost(wish, tried, size, rho)) < cost:
                     break
                 length /= 2
-                if length < _SHORTEST:
+                if length < 1 / 16:
                     return now.voltage
             now, gain, cost = tried, cost - ahead, ahead
             if gain < _GAIN * (cost + gain):

@@ -25,7 +25,6 @@ from .self_check import Played, beyond, missed, play, stroke
 
 _TRAVEL = 1.2  # largest total variation, relative to that of eq. 13 cut at the limits
 _HEADROOM = 0.95  # fraction of it in the first try
-_TRIES = 3  # searches, each with bounds reduced by the last excess
 _INTERIOR = 1e-6  # an interior point stops closer to a limit than this
 
 
@@ -83,7 +82,7 @@ def _nearest(motion: Motion, limits: Limits, cut: Planned, best: Planned, most: 
     if most == 0:  # eq. 13 clipped at the limits is constant, and so is every voltage of no more total variation
         return best
     wish, near = _wish(motion, limits, best.voltage, _HEADROOM * most), best
-    for _ in range(_TRIES):
+    for _ in range(3):
         near = _kept(nearest_motion(motion.model, wish, best.voltage), wish, motion, limits)
         turned, reached = travel(near.voltage) / most, stroke(near) / limits.farthest
         if turned <= 1 and not reached > 1:

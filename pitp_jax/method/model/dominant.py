@@ -13,14 +13,13 @@ Not the least damped pair: a joint at 10 Hz has a gear's mode at 200 Hz that rin
 import numpy as np
 from jaxtyping import Complex, Float
 
-_NONE = 1e-7
 _RINGS = 0.7  # damping below which a pair has a resonance, sqrt(1/2)
 
 
 def nonzero_poles(a: Float[np.ndarray, " tokens"]) -> Complex[np.ndarray, " poles"]:
     """Return the poles (rad/s) for coefficients a_0 ... a_n, without those of integrators."""
     roots = np.roots(a[::-1]).astype(complex)
-    return roots[np.abs(roots) > _NONE * np.abs(roots).max(initial=0.0)]
+    return roots[np.abs(roots) > 1e-7 * np.abs(roots).max(initial=0.0)]
 
 
 def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
