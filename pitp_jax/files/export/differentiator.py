@@ -20,7 +20,6 @@ from scipy.interpolate import make_interp_spline
 HALF = 12  # blocks on either side of the one in which the derivative is taken
 BLOCKS = 2 * HALF + 2
 ALLOWED = 5e-3  # of the force
-_ENOUGH = 2e-3  # of the force: no longer window is tried
 _LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples to a block
 
 
@@ -113,6 +112,6 @@ def differentiator(
         error = one.error(a, omega, rounding)
         if error < least:
             best, least = one, error
-        if least < _ENOUGH:
+        if least < 2e-3:
             break
     return best, least

@@ -34,8 +34,6 @@ from .equilibria import equilibria
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
 _CHOSEN = 1.7  # bound for the default time constant, below the limit, because a model is not the actuator
 _FINER, _LONGEST = 1.05, 1e3  # ratio of two time constants of a search; its end, over 2 / (zeta w_0)
-_SMOOTHS = 0.2  # of lambda: time constant of the average, where the sensor has noise
-_NOISE = 4.0  # standard deviations of the averaged noise that are not corrected
 _SAMPLES = 10.0  # lambda at least, in samples, by default
 _PART = 0.1  # of the range of voltages: a correction that the slew limit allows within lambda
 _STEP = 1 / 3  # of the largest step of a sample: what the noise may move the voltage in one
@@ -120,8 +118,8 @@ def tuning(model: Model, dt: float) -> Callable[[float], PIGains]:
     def tuned(seconds: float) -> PIGains:
         i = float(a0 / seconds)
         p = float(a[1] / a[0] * i)
-        k = dt / (dt + _SMOOTHS * seconds) if noise else 1.0
-        tolerance = _NOISE * noise * float(np.sqrt(k / (2 - k)))
+        k = dt / (dt + 0.2 * seconds) if noise else 1.0
+        tolerance = 4.0 * noise * float(np.sqrt(k / (2 - k)))
         return PIGains(p, i, float(seconds), *margins(plants, p, i, dt, k), k, tolerance)
 
     return tuned

@@ -17,7 +17,6 @@ import jax.numpy as jnp
 from .kernels import CLOCK, bouc_wen, dahl, lag, play
 from .spec import EffectSpec, Parameter
 
-_SLOW = 15.0  # times the plant's time constant: creep above, relaxation below
 _GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
 _STRENGTH = Parameter("kappa", off=0.0)
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
@@ -25,7 +24,7 @@ _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 def _by_time(p, k, plant):
     """Name a memory "creep" if it is slow compared with the plant, otherwise "relaxation"."""
-    return "creep" if p.tau > _SLOW * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
+    return "creep" if p.tau > 15.0 * plant.tau else "relaxation", "one branch", (p.kappa, p.tau)
 
 
 def _by_give(p, k, plant):

@@ -252,8 +252,7 @@ def _identified(
         warning, fit = wrong, replace(fit, identifiable=False)
         orders = tuple(replace(o, identifiable=False) for o in orders)
     model = descended(_to_model(fit, records, begun, input_map, own, errors, said), "identify", records)
-    names = [r.name for r in records]
-    beginnings = dict(zip(names, begun, strict=True))
+    beginnings = {r.name: b for r, b in zip(records, begun, strict=True)}
     return Identification(model, fit, orders, beginnings, response, own, tested, said, explained, warning)
 
 

@@ -25,7 +25,6 @@ from ..model.programs import full_precision
 _PEAK = np.concatenate([-np.geomspace(0.2, 1e-3, 40), [0.0], np.geomspace(1e-3, 0.2, 40)])
 _COARSE, _RESONANCES = 500, 12  # frequencies over the whole band; resonances with additional frequencies
 _ROUNDING = 1e-7  # of a pole's modulus: a constant state has a pole at 1
-_ONE_STEP = np.pi / 2  # rad: a larger phase change between two frequencies is not resolved
 
 
 @dataclass(frozen=True)
@@ -123,7 +122,7 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float, smoothing: f
 
 def _is_stable(f: np.ndarray, unstable: int) -> bool:
     turn = np.angle(f[1:] / f[:-1])
-    if not (np.abs(turn) < _ONE_STEP).all():
+    if not (np.abs(turn) < np.pi / 2).all():  # a larger phase change between two frequencies is not resolved
         return False
     # it starts on the real axis, at z = 1
     start = np.angle(f[0] * np.sign(f[0].real))

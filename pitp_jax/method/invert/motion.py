@@ -21,7 +21,6 @@ from ..simulate.prediction import at_rate
 
 _RINGS = 0.7  # damping below which a pole oscillates
 _IN, _OUT, _SMOOTH = 5.0, 3.0, 0.5  # periods: lead-in and lead-out with oscillation, both without
-_WAITS = 100_000  # samples until a machine stands still
 
 
 @dataclass(frozen=True)
@@ -120,6 +119,6 @@ def standing(model: Model, voltage: float, dt: float, seconds: float) -> tuple[F
     level /= float(model.scales.state[0])
     # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
     begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
-    count = int(np.clip(seconds / dt, 64, _WAITS))
+    count = int(np.clip(seconds / dt, 64, 100_000))  # samples until the machine stands still
     state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
     return state, float(state[0]) * float(model.scales.state[0])

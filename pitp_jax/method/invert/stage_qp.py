@@ -15,8 +15,6 @@ import piqp
 import scipy.sparse as sparse
 from jaxtyping import Float
 
-_GAP = 1e-5  # of duality gap and residuals, with objective and bounds of order one
-
 
 class StageQP(NamedTuple):
     """A quadratic programme along a horizon, stage by stage: objective, bounds and changes, all of order one."""
@@ -40,7 +38,7 @@ def solve_stage_qp(problem: StageQP) -> Float[np.ndarray, "stages n"]:
     how = solver.settings
     # a cost much smaller than the bounds took up to 250 iterations instead of 30 without its own scale
     how.check_duality_gap = how.preconditioner_scale_cost = True
-    how.eps_abs = how.eps_duality_gap_abs = _GAP
+    how.eps_abs = how.eps_duality_gap_abs = 1e-5  # objective and bounds are of order one
     how.eps_rel = how.eps_duality_gap_rel = 0.0
     solver.setup(*_sparse(problem))
     solver.solve()

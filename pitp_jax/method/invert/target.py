@@ -19,7 +19,6 @@ MOST = 20_000_000  # samples of a plan
 SAME = 1e-6  # relative, between rates
 _CLOSE = 0.01  # relative, between the step of a target and that of a model
 _DEGREE = 5  # of a spline that is continuous up to the fourth derivative
-_COARSEST = 1e-3  # of the range: the largest step that is the rounding of a file
 _POWERS, _EXACT = 11, 4.0  # powers of ten that are tried; double-precision roundings of a multiple
 
 
@@ -79,7 +78,7 @@ def last_digit(target: Target) -> float:
         multiple = values / 10.0**power
         error = np.abs(multiple - np.round(multiple))
         if (error <= _EXACT * np.finfo(float).eps * np.maximum(np.abs(multiple), 1.0)).all():
-            return float(to_base(10.0**power, unit)) if 10.0**power <= _COARSEST * span else 0.0
+            return float(to_base(10.0**power, unit)) if 10.0**power <= 1e-3 * span else 0.0
     return 0.0
 
 

@@ -45,8 +45,8 @@ class Domain(Constants):
         return replace(
             self,
             voltage_range=(
-                min(low, *(float(r.voltage.min()) for r in records)),
-                max(high, *(float(r.voltage.max()) for r in records)),
+                min(low, *(r.voltage.min() for r in records)),
+                max(high, *(r.voltage.max() for r in records)),
             ),
-            slew=max(self.slew, *(float(np.abs(np.diff(r.voltage)).max()) / r.dt for r in records)),
+            slew=max(self.slew, *(np.abs(np.diff(r.voltage)).max() / r.dt for r in records)),
         )

@@ -25,7 +25,6 @@ from .rows import Rows, affine, as_product, vmapped, written_out
 Way = Literal["instant", "instants"]
 _NO_BOUND = 1e6  # scaled features are of order one
 _WRITTEN_OUT = 32  # hidden units of a net; above, a matrix product is faster and compiles faster
-_FEW = 256  # instants for which the paper's tables cost more to build than they save
 
 
 class AbstractEncoder(eqx.Module):
@@ -365,7 +364,7 @@ class PaperEncoder(AbstractEncoder):
             return [*logits.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
 
         def logits(features: Rows) -> Rows:
-            if features[0].size < _FEW:
+            if features[0].size < 256:  # for fewer, the tables cost more to build than they save
                 return one_by_one(*features)
             # the tables are read in blocks that suit a CPU's cache: on a GPU they take 35 times as long as the products
             return jax.lax.platform_dependent(*features, cpu=tabulated, default=one_by_one)

@@ -22,7 +22,6 @@ from .fitted import Fitted
 
 _WINDOWS, _SHORTEST = 8, 64  # windows of a recording, and samples of one, at least
 _STILL = 0.02  # of the largest amplitude: slower and smaller motions count as this
-_PER_OCTAVE = 4  # cells of frequency and of amplitude
 
 
 class Expected(NamedTuple):
@@ -61,7 +60,7 @@ def merged(rows: Sequence[tuple[float, float, float]] | Float[np.ndarray, "rows 
     table = np.array(rows).reshape(-1, 3)
     if not len(table):
         return ()
-    cells = np.round(_PER_OCTAVE * np.log2(table[:, :2]))
+    cells = np.round(4 * np.log2(table[:, :2]))
     _, cell = np.unique(cells, axis=0, return_inverse=True)
     cells = []
     for k in range(int(cell.max()) + 1):

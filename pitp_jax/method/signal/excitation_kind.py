@@ -16,12 +16,7 @@ from .record import Record
 _PARTS = 1000  # of a record, over which a step must be constant
 _STILL = 0.4  # of the time between two turning points: the input steps
 _LEVEL = 0.07  # of a move: distance to its ends within which a sine spends a third of its time
-_TURN = 0.05  # of the input's range, more than noise, by which it turns back
 _SEGMENTS = 16  # turning points at least of a sweep, and half the number of segments compared
-_SWEPT = 1.4  # ratio: an octave without its ends
-_DEVIATIONS = 3.7  # standard deviations of the ratio of a random order, 2 +- 2 / sqrt(n): one in 10,000
-_TRIED = 81  # frequencies within a line on either side
-_ELSEWHERE = 0.01  # of the energy of an input that counts as one sine
 _GOLDEN = (5**0.5 - 1) / 2  # multiples of the golden ratio, modulo 1, fill [0, 1] evenly
 
 
@@ -42,11 +37,12 @@ def _is_swept(turns: np.ndarray) -> bool:
     spans = np.log(np.diff(ends) / np.diff(np.searchsorted(turns, ends)))
     # the outer twentieths may be rests before and after the sweep
     low, high = np.quantile(spans, (0.05, 0.95))
-    if high - low < np.log(_SWEPT) or len(np.unique(np.round(spans, 1))) < 4:
+    # 1.4: an octave without its ends
+    if high - low < np.log(1.4) or len(np.unique(np.round(spans, 1))) < 4:
         return False
     ranks = np.argsort(np.argsort(spans))
     ratio = np.sum(np.diff(ranks) ** 2) / np.sum((ranks - ranks.mean()) ** 2)
-    return bool(ratio < 2 * (1 - _DEVIATIONS / np.sqrt(len(ranks))))
+    return bool(ratio < 2 * (1 - 3.7 / np.sqrt(len(ranks))))  # 2 +- 2 / sqrt(n): one in 10,000
 
 
 def _turns(u: np.ndarray) -> np.ndarray:
@@ -57,7 +53,7 @@ def _turns(u: np.ndarray) -> np.ndarray:
     moves = np.flatnonzero(np.diff(u))
     turns = moves[np.flatnonzero(np.diff(np.sign(np.diff(u)[moves]))) + 1]
     turns = np.concatenate([[0], turns, [len(u) - 1]])
-    least = _TURN * np.ptp(u)
+    least = 0.05 * np.ptp(u)  # more than noise
     while len(turns) > 2:
         size = np.append(np.inf, np.append(np.abs(np.diff(u[turns])), np.inf))
         inner = size[1:-1]
@@ -119,9 +115,9 @@ def only_frequency(record: Record) -> float | None:
         return float(np.sum(project(u, np.column_stack([np.real(wave), np.imag(wave), np.ones(len(u))]))[1] ** 2))
 
     # a sine is off by at most an eightieth of a line, whose phase changes by 0.04 rad from the middle to the ends
-    tried = loudest(record) + np.linspace(-1, 1, _TRIED) / (record.samples * record.dt)
+    tried = loudest(record) + np.linspace(-1, 1, 81) / (record.samples * record.dt)
     errors = [misfit(hz) for hz in tried if hz > 0]
-    return float(tried[tried > 0][np.argmin(errors)]) if min(errors) < _ELSEWHERE * float(u @ u) else None
+    return float(tried[tried > 0][np.argmin(errors)]) if min(errors) < 0.01 * float(u @ u) else None
 
 
 def spectrum(record: Record) -> np.ndarray:

@@ -18,8 +18,6 @@ Table = tuple[tuple[float, float, float], ...]
 
 PERIODS, PER_OCTAVE = 32, 4  # of the slowest frequency in a window; bands
 TOLERANCE = 1.5  # times the amplitude reached: windows see the same motion at slightly different sizes
-_PART = 1e-3  # of a recording's energy
-_SLOW = 0.35  # of the resonance, an edge of the diagnosis's bands
 _TAPER = 0.5  # of a recording, in both ends of its one window together
 _NAMED = 0.01  # of a recording: a frequency that a sentence names, and no spill of the window
 _COMMON = 2 / 3  # of the energy of one excitation, in bands where its repetition has it as well,
@@ -131,7 +129,8 @@ class Cells:
     def __init__(self, table: Table, resonance_hz: float):
         """Store the columns of a table; bands below 0.35 of the model's resonance count as one."""
         self.hz, self.reached, self.part = np.array(table).T
-        self._numbers, self._slow = _number(self.hz), int(_number(max(_SLOW * resonance_hz, 1e-12)))
+        # 0.35 is an edge of the diagnosis's bands
+        self._numbers, self._slow = _number(self.hz), int(_number(max(0.35 * resonance_hz, 1e-12)))
 
     def amplitude(self, number: int) -> float:
         """Return the largest amplitude (base unit) reached in this band or in a faster one."""
@@ -140,7 +139,7 @@ class Cells:
     def excite(self, number: int, amplitude):
         """Return whether the recordings excite this band at these amplitudes, in the shape of `amplitude`."""
         near = np.abs(self._numbers - max(number, self._slow)) <= PER_OCTAVE
-        return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= _PART)
+        return (amplitude <= TOLERANCE * self.amplitude(number)) & (self.part[near].max(initial=0.0) >= 1e-3)
 
     def beside(self, low: int, high: int, amplitude: float) -> tuple[float | None, float | None]:
         """Return the nearest excited frequencies (Hz) below and above some bands at this amplitude (None: none)."""

@@ -67,8 +67,9 @@ def noise_std(displacement: np.ndarray) -> float:
 def _rounding(displacement: np.ndarray) -> float:
     """Return the standard deviation of rounding to the sensor's smallest step, output unit; 0 if constant."""
     steps = np.abs(np.diff(displacement))
+    steps = steps[steps > 0]
     # rounding to steps q is uniform over q, with the deviation q / sqrt(12)
-    return float(np.min(steps[steps > 0], initial=np.inf)) / np.sqrt(12.0) if (steps > 0).any() else 0.0
+    return float(steps.min()) / np.sqrt(12.0) if len(steps) else 0.0
 
 
 def in_motion(records: Sequence[Record]) -> tuple[list[Record], tuple[str, ...]]:

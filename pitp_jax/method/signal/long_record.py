@@ -14,7 +14,6 @@ import scipy
 from .preprocess import force_band
 from .record import Record
 
-_PER_PERIOD = 4.0  # samples kept of a period of f_max
 _MOST = 150_000  # samples kept in all
 _LEAST = 600  # samples kept if the record has them: 100 windows of six in `method/train/creep_balance`
 _READ = 1_000_000  # samples of the record that count, because every fitting step integrates its memories along them
@@ -77,7 +76,7 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
         record, force = replace(record, time=time, voltage=voltage, displacement=displacement), force[:_READ]
     if np.ptp(force) == 0:
         return None
-    step = int(1 / (_PER_PERIOD * force_band([force], record.dt) * record.dt))
+    step = int(1 / (4.0 * force_band([force], record.dt) * record.dt))
     # rounded up: never more than the most that are kept
     step = max(step, -(-record.samples // _MOST), 1)
     step = min(step, max(record.samples // _LEAST, 1))
