@@ -90,7 +90,7 @@ def test_faults_are_counted_and_do_not_hide_the_others(good, tmp_path):
     holes[1000:1400] = np.nan
     limit = np.sort(clipped.displacement)[-150]
     records = [moved(spiked, y), moved(gapped, holes), moved(clipped, np.minimum(clipped.displacement, limit))]
-    found = pitp.check(records + [r for r in good if r.name not in ("sine2", "sine4", "sweep")])
+    found = pitp.check(records + [r for r in good[:6] if r.name not in ("sine2", "sine4", "sweep")])
     assert found.records["sine2"].outliers == 3
     assert found.records["sine4"].missing == 400
     assert any("limit" in line for line in found.problems["sweep"])
@@ -125,7 +125,7 @@ def test_a_gap_in_the_band_is_named_in_numbers(good):
 
 def test_repeats_say_what_the_rig_repeats(good):
     again = record("again", sine(3.0, 1000), seed=5)
-    found = pitp.check([*good, moved(again, again.displacement * 1.01)])
+    found = pitp.check([*good[:4], moved(again, again.displacement * 1.01)])
     (repeat,) = found.repeats
     assert set(repeat.names) == {"sine3", "again"}
     assert 0.1 < repeat.percent < 0.5
@@ -133,7 +133,7 @@ def test_repeats_say_what_the_rig_repeats(good):
 
 
 def test_coloured_noise_is_told_from_white(good):
-    found = pitp.check(with_(good, "sine2", lambda r: record(r.name, r.voltage, coloured=True)))
+    found = pitp.check(with_(good[:4], "sine2", lambda r: record(r.name, r.voltage, coloured=True)))
     assert found.records["sine2"].noise_colour == "coloured"
     assert [n for n, row in found.records.items() if row.noise_colour == "coloured"] == ["sine2"]
 
@@ -180,7 +180,7 @@ def test_quick_problems_need_no_fit(good):
 
 def test_zeros_are_compared_in_base_units(good):
     """0.05 mm and 50 um are one zero; the difference of another is reported in the unit of the first."""
-    same = [moved(r, r.displacement + 5e-5) for r in good]
+    same = [moved(r, r.displacement + 5e-5) for r in good[:4]]
     mixed = [replace(r, displacement_unit="um") if r.name == "sine3" else r for r in same]
     assert not any("offset differs" in line for line in pitp.check(mixed).advice)
     mixed = [moved(r, r.displacement + 4e-4) if r.name == "sine3" else r for r in mixed]

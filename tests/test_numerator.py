@@ -66,7 +66,7 @@ def test_one_sine_determines_two_numbers():
     assert not one.chosen.identifiable and two.warning is None and two.chosen.identifiable
 
 
-@pytest.mark.parametrize("drive", [SWEEP, 1.5 + 1.5 * SWEEP])
+@pytest.mark.parametrize("drive", [pytest.param(SWEEP, marks=pytest.mark.slow), 1.5 + 1.5 * SWEEP])
 def test_the_input_map_is_the_one_that_leaves_clearly_less(drive):
     """A voltage that moves a length linearly: the square is usual, and given it stays, with a word on the other."""
     linear = replace(record([1.0], [0.3, 1.0], drive), displacement_unit="m")
