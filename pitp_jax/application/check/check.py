@@ -23,7 +23,7 @@ from ...method.signal.sets import RATE_TOLERANCE, check_records
 from .coverage import Coverage, coverage
 from .one_record import Facts, coloured_noise, facts, masked, moves
 from .repeats import Repeat, cycles, find_repeats
-from .set_advice import set_advice
+from .set_advice import set_advice, some_of
 from .set_fit import SetFit, fit_set
 
 _FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
@@ -112,9 +112,8 @@ class Check(Shown):
         return [{"record": name, **row.as_json()} for name, row in self.records.items()]
 
     def __repr__(self) -> str:
-        few = ", ".join(list(self.problems)[:3]) + (", ..." if len(self.problems) > 3 else "")
         at = "" if self.resonance_hz is None else f", resonance near {self.resonance_hz:.3g} Hz"
-        named = f" ({few})" if few else ""
+        named = f" ({some_of(list(self.problems))})" if self.problems else ""
         lines = [f"Check of {counted(len(self.records), 'recording')}{at}: {len(self.problems)} with problems{named}"]
         return "\n".join(lines + [f"  {line}" for line in self.advice[:3]])
 

@@ -38,9 +38,9 @@ def set_advice(
     strange = [name for name, row in fitted.records.items() if row.strange] if fitted else []
     if strange:
         it = "it" if len(strange) == 1 else "them"
-        lines.append(f"{_some(strange)} may not belong to this set; check {it}, or leave {it} out")
+        lines.append(f"{some_of(strange)} may not belong to this set; check {it}, or leave {it} out")
     if turned:
-        lines.append(f"the sensor is reversed in {_some(turned)}; this is taken into account, but check its sign")
+        lines.append(f"the sensor is reversed in {some_of(turned)}; this is taken into account, but check its sign")
     if fitted is None:
         lines.append("no linear model could be fitted, so initial states, sensor offsets and directions are not known")
     lines += _zeros(rows, used, fitted)
@@ -102,9 +102,9 @@ def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
         return [
             f"inputs played twice give outputs that agree to {np.median([r.percent for r in known]):.2g} % of range"
             + (
-                f" (worst {worst.percent:.2g} %: {_some(worst.names)})"
+                f" (worst {worst.percent:.2g} %: {some_of(worst.names)})"
                 if len(known) > 1
-                else f" ({_some(worst.names)})"
+                else f" ({some_of(worst.names)})"
             )
             + "; no model can do better"
         ]
@@ -116,5 +116,6 @@ def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
     return ["no input was played twice; repeat one recording to measure how well the rig repeats"]
 
 
-def _some(names: Sequence[str]) -> str:
+def some_of(names: Sequence[str]) -> str:
+    """List up to three names, and count the others."""
     return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
