@@ -9,8 +9,6 @@ import json
 from ...common.numbers import number
 from .joint import Joint
 
-ISAAC, NEWTON, URDF = "isaac_actuator_cfg.py", "newton_actuator.json", "urdf_dynamics.xml"
-
 
 def texts(joint: Joint) -> dict[str, str]:
     """Return the text of a file for each program, by file name.
@@ -18,7 +16,10 @@ def texts(joint: Joint) -> dict[str, str]:
     Args:
         joint: with the robot's parameters, as MuJoCo compiles them.
     """
-    return {ISAAC: _isaac(joint), NEWTON: _newton(joint), URDF: _urdf(joint)}
+    return {
+        "isaac_actuator_cfg.py": _isaac(joint), "newton_actuator.json": _newton(joint),
+        "urdf_dynamics.xml": _urdf(joint),
+    }  # fmt: skip
 
 
 def _gains(joint: Joint) -> tuple[float, float]:

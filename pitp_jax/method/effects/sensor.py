@@ -20,8 +20,6 @@ _sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacem
 
 _TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
 _WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
-_SECOND = Parameter("c2", "1/x", length=-1, positive=False, off=0.0)
-_THIRD = Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0)
 
 
 def _second_order(p, y, dt):
@@ -45,7 +43,11 @@ SENSOR = (
     ),
     # the curves rise over the range of the records, so within these bounds they can be inverted
     _sensor(
-        "sensor_nonlinearity", "quadratic and cubic", (_SECOND, _THIRD),
+        "sensor_nonlinearity", "quadratic and cubic",
+        (
+            Parameter("c2", "1/x", length=-1, positive=False, off=0.0),
+            Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0),
+        ),
         "The sensor is nonlinear, differently on either side.",
         "y = x + c2 x^2 + c3 x^3", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
     ),

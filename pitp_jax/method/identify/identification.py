@@ -381,11 +381,9 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
     """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
     gains = solve(chosen.params, chosen.structure, problem).gains
     polarity = float(np.sign(gains[0]) or 1.0)
-    errors, first = np.zeros(problem.free_zeros), chosen.structure.moved + 1
-    if problem.free_zeros:
-        variance = np.diag(covariance(chosen.params, chosen.structure, problem))
-        errors = problem.scale * np.sqrt(np.clip(variance[first : first + problem.free_zeros], 0, None))
-    fitted = []
+    first = chosen.structure.moved + 1
+    variance = np.diag(covariance(chosen.params, chosen.structure, problem))[first : first + problem.free_zeros]
+    errors, fitted = problem.scale * np.sqrt(np.clip(variance, 0, None)), []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
         fitted.append(
