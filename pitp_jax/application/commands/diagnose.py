@@ -134,7 +134,9 @@ def _write(
         if out is not None:
             write_json(stage / JSON, value)
             save(stage / MODEL, augmented)
-            _write_next(_robot_of(diagnosis), stage, input_unit)
+            if (planned := _robot_of(diagnosis).next_experiment) is not None:
+                unit = "V" if input_unit.endswith("V") else input_unit
+                write_signals(stage / NEXT_CSV, planned.time, voltage=(planned.voltage, unit))
             written |= _files_in(stage)
     if out is not None:
         with staged(folder=out) as stage:
@@ -218,13 +220,6 @@ def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
         for picture in beside:
             write(picture)
         _attempt(REPORT, lambda: write_text_atomic(folder / REPORT, page(diagnosis, beside)))
-
-
-def _write_next(robot: Diagnosis, folder: Path, input_unit: str) -> None:
-    """Write the input of the proposed next experiment as CSV, if there is one."""
-    if robot.next_experiment is not None:
-        unit = "V" if input_unit.endswith("V") else input_unit
-        write_signals(folder / NEXT_CSV, robot.next_experiment.time, voltage=(robot.next_experiment.voltage, unit))
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:

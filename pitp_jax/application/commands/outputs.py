@@ -131,7 +131,7 @@ def _staged_file(path: str | None) -> Iterator[str | None]:
 @contextmanager
 def _staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
     target = Path(os.path.realpath(folder))
-    made = _missing_parents(target)
+    made = [path for path in (target, *target.parents) if not path.exists()]
     stage = target / f".pitp-{secrets.token_hex(8)}.tmp"  # inside, so that moving is renaming
     try:
         stage.mkdir(parents=True)
@@ -176,10 +176,6 @@ def write_index(folder: Path, stage: Path) -> None:
         }
         links = [Link(name, unescape(title[1]) if title else name) for name, title in sorted(titles.items())]
         write_text_atomic(stage / INDEX, Page("Pages", "Pages of this folder", links).html())
-
-
-def _missing_parents(target: Path) -> list[Path]:
-    return [path for path in (target, *target.parents) if not path.exists()]
 
 
 def write_json(path: str | os.PathLike | None, value: Mapping[str, Any] | None) -> None:

@@ -11,6 +11,7 @@ from ...method.model.input_map import SquareInput, usual_input_map
 from ...method.signal.record import Record
 from .compatibility import check_belongs
 from .console import say
+from .reports import listed
 
 
 def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | None) -> tuple[Record, ...]:
@@ -70,13 +71,7 @@ def recognised(records: Sequence[Record]) -> list[str]:
             kind = f"{seen['file']}; time {seen['time']}, input {seen['input']}, output {seen['output']}"
             kinds.setdefault(kind, []).append(record.name)
             remarks += seen["findings"]
-    count = [f"{len(names)} recording{'s' if len(names) > 1 else ''}" for names in kinds.values()]
-    lines = [f"read {many} ({_some(names)}): {kind}" for many, (kind, names) in zip(count, kinds.items(), strict=True)]
-    return lines + by_kind(remarks)
-
-
-def _some(names: Sequence[str]) -> str:
-    return ", ".join(names[:3]) + (", ..." if len(names) > 3 else "")
+    return [f"read {listed(names, 3)}: {kind}" for kind, names in kinds.items()] + by_kind(remarks)
 
 
 def is_square(model: Fitted) -> bool:

@@ -75,7 +75,10 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
             )
         # 0.1 %: the voltages of a file are rounded
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
-            seen, played = (units.input.range_text(*ends, 6) for ends in ((low, high), _range(drive.voltage)))
+            seen, played = (
+                units.input.range_text(float(least), float(most), 6)
+                for least, most in ((low, high), (drive.voltage.min(), drive.voltage.max()))
+            )
             times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
             say(
                 f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
@@ -85,10 +88,6 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
             say(f"warning: {drive.name}: {words}")
         if drive.voltage[0] != 0:
             say(f"{drive.name}: starts at {units.input.text(drive.voltage[0], 6)}, taken as settled there")
-
-
-def _range(values: np.ndarray) -> tuple[float, float]:
-    return float(values.min()), float(values.max())
 
 
 def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
