@@ -8,9 +8,9 @@ from typed import of_kind, some
 from pitp_jax import Record
 from pitp_jax.method.identify.identification import identify
 
-DT, SAMPLES = 2e-3, 6000
+DT, SAMPLES = 2e-3, 3000
 TIME = np.arange(SAMPLES) * DT
-DRIVE = np.sin(2 * np.pi * (0.2 * TIME + 14 * TIME**2 / 12 / 2))
+DRIVE = np.sin(2 * np.pi * (0.2 * TIME + 14 * TIME**2 / 6 / 2))
 MODE = (2 * np.pi * 4.0, 0.1)
 
 
