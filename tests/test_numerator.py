@@ -10,6 +10,7 @@ from pitp_jax import Record
 from pitp_jax.common.errors import ComputationFailed
 from pitp_jax.method.identify.frequency_response import FrequencyResponse
 from pitp_jax.method.identify.identification import _better, identify
+from pitp_jax.method.identify.linear_ode import mode
 from pitp_jax.method.identify.rational_fit import fit_rational, needs_resonance
 from pitp_jax.method.identify.remarks import UNSTABLE
 
@@ -86,6 +87,16 @@ def test_no_plant_is_unstable_that_is_stable_with_the_other_map():
     assert "unstable" not in line and "--input-map linear" in line
     with pytest.raises(ComputationFailed, match="no order from 1 to 6 .* --input-map linear"):
         _better(ComputationFailed(f"{UNSTABLE}: ..."), found, "linear", given=True)
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("roots", [[-1.0, -40.0], [-2 + 12j, -2 - 12j], [0.0, -3 + 20j, -3 - 20j]])
+def test_modes_add_up_to_a_plant_with_a_zero(roots, hold):
+    roots, drive = np.array(roots), 1 + SWEEP
+    residues = [np.polyval([0.3, 1.0], p) / np.prod(p - roots[roots != p]) for p in roots]
+    y = sum(np.real(r * DT * mode(p * DT, drive, hold)) for p, r in zip(roots, residues, strict=True))
+    truth = lsim(([0.3, 1.0], np.poly(roots).real), drive, TIME, interp=hold == "foh")[1]
+    np.testing.assert_allclose(y, truth, atol=1e-9 * np.ptp(truth))
 
 
 def response(numerator, denominator, delay=0.0):

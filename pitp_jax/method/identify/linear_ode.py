@@ -204,18 +204,20 @@ def bounded_response(
     Re p < 0: m(t+1) = e^p m(t) + ..., from the first sample on;  Re p > 0: m(t) = e^-p m(t+1) - ..., from the last one
     back. A solution of m' = p m + F either way; what it begins or ends with is in the free ones.
     """
-    start, change = force[:-1], np.diff(force)
     response, free = np.zeros(len(force)), []
     for pole in poles[np.imag(poles) >= 0]:
-        back = pole.real > 0
-        rows = np.stack([-(start + change)[::-1], change[::-1]] if back else [start, change])
-        stable = -pole if back else pole
-        mode, decay = _filtered(_weights(stable)[0, :2] @ rows, stable), powers(stable, len(force))
-        if back:
-            mode, decay = mode[::-1], decay[::-1]
-        response += (2 if pole.imag else 1) * np.real(_residue(pole, poles, 1.0) * mode)
+        way = -1 if pole.real > 0 else 1  # of time
+        decay = powers(way * pole, len(force))[::way]
+        driven = _residue(pole, poles, 1.0) * mode(way * pole, way * force[::way], "foh")[::way]
+        response += (2 if pole.imag else 1) * np.real(driven)
         free += [np.real(decay), np.imag(decay)] if pole.imag else [np.real(decay)]
     return response, np.stack(free, 1)
+
+
+def mode(pole: complex, force: Float[np.ndarray, " time"], hold: str) -> np.ndarray:
+    """Simulate m' = p m + F from rest, p in rad a sample, F held ("zoh") or linear between samples; shape (time,)."""
+    rows = _inputs(force, False, hold, False)[0]
+    return _filtered(_weights(pole)[0, : len(rows)] @ rows, pole)
 
 
 def _residue(pole: complex, z: np.ndarray, step: float) -> complex:

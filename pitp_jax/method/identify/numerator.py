@@ -13,12 +13,11 @@ from itertools import product
 
 import numpy as np
 from scipy.optimize import least_squares
-from scipy.signal import lsim
 
 from ..numerics.coloured_noise import project
 from .frequency_response import FrequencyResponse
 from .heldout import Candidate
-from .linear_ode import coast, logs_from_roots, poles
+from .linear_ode import coast, logs_from_roots, mode, poles
 from .output_error import Problem
 from .rational_fit import PEAK, Rational, fit_rational
 
@@ -110,22 +109,21 @@ def _fitted(found: Rational, zeros: int, problem: Problem, deviation: float, wit
 
 def _left(roots: np.ndarray, delay: float, powers: slice, problem: Problem, hold: str) -> tuple[np.ndarray, np.ndarray]:
     """Return the residual of all records with these poles (rad/s) and delay (s), and the numerator's coefficients."""
-    n, unit = len(roots), float(np.exp(np.log(np.abs(roots)).mean()))
-    a = np.poly(roots / unit).real[::-1]
-    system = np.vstack([np.eye(n)[1:], -a[:n]]), np.eye(n)[:, -1:], np.eye(n), np.zeros((n, 1))
+    z, k = roots * problem.dt, np.arange(len(roots) + 1)[powers]
+    # s^k / a(s) = sum_i r_i p_i^k / (s - p_i), and 1 more for k = n
+    residues = z[:, None] ** k / np.prod(z[:, None] - z + np.eye(len(z)), axis=1, keepdims=True)
     rows, target = [], []
     for force, output, weight, b in zip(
         problem.forces, problem.output, problem.weight, problem.beginnings, strict=True
     ):
         time = np.arange(len(force)) * problem.dt
         late = np.interp(time - delay, time, force) - (force[0] if b.begins != "rest" else 0.0)
-        x = lsim(system, late, time * unit, interp=hold != "zoh")[1].reshape(len(time), n)
+        columns = np.real(np.stack([mode(p, late, hold) for p in z], 1) @ residues) + late[:, None] * (k == len(z))
         own = [np.ones(len(time))]
         if b.begins == "moving":
             own += list(coast(logs_from_roots(roots), len(time), step=problem.dt)[0].T)
         own = weight[:, None] * np.column_stack(own)
-        columns = weight[:, None] * np.column_stack([x, late - x @ a[:n]])[:, powers]
-        rows.append(np.column_stack([project(c, own)[1] for c in columns.T]))
+        rows.append(np.column_stack([project(weight * c, own)[1] for c in columns.T]))
         target.append(project(weight * output, own)[1])
     factors, rest = project(np.concatenate(target), np.concatenate(rows))
-    return rest, factors / unit ** np.arange(n + 1)[powers]
+    return rest, factors * problem.dt**k
