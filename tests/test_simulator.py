@@ -15,6 +15,7 @@ from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case
 from pitp_jax.method.diagnose.library import (  # fmt: skip
     AHEAD,
+    DELAY,
     FAULTS,
     INDEX,
     LAG,
@@ -199,6 +200,18 @@ def test_an_effect_is_added_to_the_model_that_was_given(linear, nonlinear, order
         same = replace(made, effects=())
         for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(given), strict=True):
             np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-5)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.2, 0.5, 0.8])
+def test_an_input_that_acts_before_half_a_sample_is_not_held(linear, part):
+    """A fitted delay (samples, from the mean of a held input on) is that of the model that is handed back."""
+    given = linear(2, hz=5.0, damping=0.2, dt=DT, hold="zoh")
+    before = slots_of(given)[0]
+    slots = before.copy()
+    slots[INDEX[DELAY]] = part * DT
+    made, _ = model_of(before, slots, given, SCALE)
+    np.testing.assert_allclose(slots_of(made)[0], slots, rtol=1e-5, atol=1e-9)
+    assert made.hold == ("foh" if part < 0.5 else "zoh")
 
 
 def test_an_early_output_is_the_run_of_the_voltage_to_come(runs):

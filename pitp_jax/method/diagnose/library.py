@@ -128,8 +128,9 @@ def bounds(s: Scale) -> dict[str, tuple[float, float]]:
     # a lagging input may be late by a sample of its own; more would be a delay, which a machine can have
     span, limits = s.top - s.bottom, {AHEAD: (-s.dt, np.inf)}
     for name, p in zip(NAMES[3:], _NUMBERS, strict=True):
-        if p.slow:  # a memory of the input faster than the plant is a filter of it, not a charge
-            limits[name] = s.tau, np.inf
+        if p.unit == "s" and p.off is None:  # a memory slower than ten sessions is an integral
+            # one of the input faster than the plant is a filter of it, not a charge
+            limits[name] = s.tau * p.slow, 10 * max(s.duration, s.session)
         elif p.resonance:  # outside the band it is equivalent to a lag or a stiffness
             limits[name] = _SIDES * s.low, s.high / _SIDES
         elif p.off is None and (p.speed == 1 or p.length == 1):
@@ -372,8 +373,11 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
         change[:3] = slots[:3]
         for r in changed:
             change[PLACES[r]] = slots[PLACES[r]]
-        if model.hold == "zoh" and change[INDEX[DELAY]]:  # half a sample belongs to the hold
-            change[INDEX[DELAY]] = max(change[INDEX[DELAY]] - model.dt / 2, 0.0)
+        if model.hold == "zoh" and moved[INDEX[DELAY]]:  # half a sample belongs to the hold
+            if slots[INDEX[DELAY]] < model.dt / 2:  # with less the input runs linearly between samples, as in the fit
+                model = replace(model, hold="foh")
+            else:
+                change[INDEX[DELAY]] -= model.dt / 2
         # the nominal keeps its own parts; changed ones are rebuilt
         own = tuple(e for e in model.effects if e.spec not in changed)
         added = effects_of(change, scale)

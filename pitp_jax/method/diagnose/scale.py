@@ -17,16 +17,19 @@ def scale_of(case: Case, base: Fit) -> Scale:
         [np.gradient(np.gradient(m, d.dt), d.dt) for m, d in zip(moves, case.simulator.drives, strict=True)]
     )
     a0, a1, a2 = (base.value(k) for k in CORE)
-    # of the natural period, otherwise of the slowest pole, of the base
-    tau = np.sqrt(a2 / a0) if a2 > 0 and a0 > 0 else a1 / a0 if a0 > 0 else (a2 / a1 if a2 > 0 else 10 * case.dt)
-    tau = float(np.clip(max(tau, a1 / a0 if a0 > 0 and a2 <= 0 else 0.0), case.dt, 1e6))
     drives = case.simulator.drives
+    longest = max(len(d.voltage) * d.dt for d in drives)
+    # of the natural period or the slowest pole of the base; a spring that takes longer than the records is none
+    if a2 > 0:
+        tau = np.sqrt(a2 / a0) if a0 * longest > a1 else a2 / a1
+    else:
+        tau = a1 / a0 if a0 > 0 else 10 * case.dt
+    tau = float(np.clip(tau, case.dt, longest))
     volts = np.concatenate([d.voltage for d in drives])
     force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
     # of the input's integral, the unit of a loop around a speed command
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]
-    longest = max(len(d.voltage) * d.dt for d in drives)
     band = 2 * np.pi * np.array(excited_hz(case))
     # quantiles instead of extremes, so that single outliers do not set the starts
     return Scale(
