@@ -1,13 +1,13 @@
 """Five public data sets, by the product's own commands: the error of free runs on the official test recordings.
 
-    train ─▶ identify ─▶ diagnose --refit-nominal ─▶ diagnose again ─▶ fit: five ways
+    train ─▶ identify;  identify ─▶ diagnose --refit-nominal;  identify ─▶ fit: three ways
     settings: the models of the first 70 % of every training recording, judged on the rest; the best is made from all
     test: opened once, after the choice is in the JSON; the first samples give the initial state and do not count
 
     python experiments/records.py [SET ...] [--data ../shared] [--out records.json] [--page docs/records.md] [--smoke]
 
-Every set has the same options; file names, the input map, and the length of the start differ. A set may use 300 CPU s,
-half of them for the choice; a command that would need more is stopped, and the table says so. Results are kept cell by
+Every set has the same options; file names, the input map, and the length of the start differ. A command that needs more
+than its part of the CPU seconds of a set is stopped, and the table says so. Results are kept cell by
 cell, and a finished cell is not run again. Errors: rms over the scored samples, no mean removed, in the file's unit and
 in % of their deviation (NRMSE). The data is not part of the project.
 """
@@ -24,6 +24,8 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from _paper_figures import prediction
+from _show import axes_grid, panel
 
 HERE = Path(__file__).resolve().parent
 SPLIT = 0.7  # of every training recording, for the choice of the model
@@ -57,9 +59,7 @@ ABOUT = {
 WAYS = {
     "linear": (None, "identify", ()),
     "diagnosed": ("linear", "diagnose", ("--refit-nominal",)),
-    "diagnosed twice": ("diagnosed", "diagnose", ("--refit-nominal",)),
     "trained": ("linear", "fit", ()),
-    "trained after diagnosis": ("diagnosed", "fit", ()),
 }
 
 
@@ -165,10 +165,25 @@ def run(name: str, data: Path, folder: Path, row: dict, note) -> None:
         model = made(row["chosen"], files, input_map, folder / "choice", partial(left, 1.0))
         row["chosen"] += f" (from the first {100 * SPLIT:.0f} %)"
     left(1.0)
-    row["test"] = errors(free_runs(model, [data / name / f"{f}.csv.gz" for f in test], start))
+    runs = free_runs(model, [data / name / f"{f}.csv.gz" for f in test], start)
+    row["test"] = errors(runs)
+    draw(name, {f: runs[f] for f in test})
     row["parts"] = pitp("info", model).splitlines()
     row["version"] = re.sub(r"[^\d.]", "", pitp("--version"))
     note()
+
+
+def draw(name: str, runs: dict) -> None:
+    """Draw the measured and the predicted output of every test recording, and the error below them."""
+    figure, axes = axes_grid(2, len(runs), (4.0 * len(runs) + 1.0, 3.4), (2.4, 1.0))
+    unit = "V" if SETS[name][4][0].endswith("V") else "m"
+    for column, (title, (time, measured, predicted, _)) in zip(axes.T, runs.items(), strict=True):
+        prediction(time, measured, predicted, column, unit=unit)
+        panel(column[0], title)
+    figure.legend(
+        *axes[0, 0].get_legend_handles_labels(), loc="outside upper center", ncols=2, frameon=False, fontsize=8
+    )
+    figure.savefig(HERE / "figures" / f"records_{name}.png", dpi=100)
 
 
 def numbers(row: dict) -> str:
@@ -189,13 +204,11 @@ def page(results: dict) -> str:
     lines = [
         "# Records: five public data sets", "",
         "How good are the product's own commands on data that others have used? `experiments/records.py` made this "
-        f"page with version {', '.join(versions)}. It uses the training recordings only: five ways to make a model "
+        f"page with version {', '.join(versions)}. It uses the training recordings only: three ways to make a model "
         f"are tried on the first {100 * SPLIT:.0f} % of every training recording and judged on the rest. The best way "
         "is repeated with all of the training data, and its free run is compared with the official test recordings "
         f"once. Each set may use {BUDGET:.0f} CPU seconds. No option was tuned for a set. The "
-        "published errors are those of their authors and were not repeated. On a machine with other work a diagnosis "
-        "takes more of the budget, and a way that comes later is not tried. [The figures](figures.md) have what a "
-        "training without a limit of time reaches on the Silverbox.", "",
+        "published errors are those of their authors and were not repeated.", "",
         "| data | error on the test | NRMSE (%) | goal | best published | way | CPU s |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
@@ -211,6 +224,7 @@ def page(results: dict) -> str:
         lines += ["| way | NRMSE on the last part of the training recordings (%) |", "|---|---|"]
         lines += [f"| {way} | {v if isinstance(v, str) else f'{v:.3g}'} |" for way, v in row["cells"].items()]
         lines += ["", f"Parts of the model ({row['chosen']}): {numbers(row)}."]
+        lines += ["", f"![Free runs on the test recordings of {name}](../experiments/figures/records_{name}.png)"]
     return "\n".join(lines) + "\n"
 
 
