@@ -1,6 +1,6 @@
 """Five public data sets, by the product's own commands: the error of free runs on the official test recordings.
 
-    train ─▶ identify;  identify ─▶ diagnose --refit-nominal;  identify ─▶ fit: three ways
+    train ─▶ identify;  identify ─▶ diagnose --refit-nominal;  fit: three ways
     settings: the models of the first 70 % of every training recording, judged on the rest; the best is made from all
     test: opened once, after the choice is in the JSON; the first samples give the initial state and do not count
 
@@ -59,7 +59,7 @@ ABOUT = {
 WAYS = {
     "linear": (None, "identify", ()),
     "diagnosed": ("linear", "diagnose", ("--refit-nominal",)),
-    "trained": ("linear", "fit", ()),
+    "trained": (None, "fit", ()),
 }
 
 
