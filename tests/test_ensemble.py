@@ -74,7 +74,7 @@ def test_members_differ_in_trained_numbers_only(ensemble):
         assert not bool(jnp.array_equal(one.encoder.spring.hidden.weight, other.encoder.spring.hidden.weight))
         np.testing.assert_array_equal(one.coefficients, other.coefficients)
         assert jax.tree.structure(one.encoder) == jax.tree.structure(other.encoder)
-        assert (one.scales, one.output, one.hold) == (other.scales, other.output, other.hold)
+        assert (one.scales, one.output.polarity, one.hold) == (other.scales, other.output.polarity, other.hold)
 
 
 def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble):

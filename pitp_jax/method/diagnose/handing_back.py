@@ -10,6 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..fit.sensor_offset import with_offset
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted, fitted_of
 from ..model.model import Model
@@ -71,7 +72,7 @@ def hand_back(
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
-            return h, (made, added), tuple(dict.fromkeys(parts))
+            return h, (with_offset(made, records), added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
 
 

@@ -160,9 +160,9 @@ def _stacked(models: Sequence[Model]) -> Model:
 
 
 def _make(model: Model) -> tuple:
-    """Return the properties that all members must share: structure, shapes, scales, sensor offset and direction."""
+    """Return the properties that all members must share: structure, shapes and scales."""
     shapes, structure = jax.tree.flatten(jax.tree.map(lambda a: a if callable(a) else jnp.shape(a), model))
-    return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves((model.scales, model.output))]
+    return structure, shapes, [np.asarray(a).tolist() for a in jax.tree.leaves(model.scales)]
 
 
 @jit

@@ -9,12 +9,13 @@ of blocks held out of its fit (the worse of both scores counts). No error counts
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
 
 from ...common.metrics import e_rms_percent
+from ..fit.sensor_offset import with_offset
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted, fitted_of
 from ..model.model import Hold, Model
@@ -132,10 +133,12 @@ class Judge:
     hold: Hold = "foh"
 
     def __call__(self, model: Model, held_out: float = np.inf) -> Candidate:
-        """Simulate the model on all records, and return it as a candidate with its errors."""
+        """Simulate the model on all records, and return it as a candidate with its offset and its errors."""
         names = tuple(r.name for r in self.records)
         averaged = any(r.dt != model.dt for r in self.records)
         there = model.sampled(self.records[0].dt, self.hold) if averaged else model
+        there = with_offset(there, self.records)
+        model = replace(model, output=there.output)
         return Candidate(model, names, self.nominal, errors(there, self.records), self.noise, held_out)
 
 
