@@ -10,6 +10,7 @@ from functools import partial, wraps
 from importlib.util import find_spec
 from pathlib import Path
 from types import FunctionType
+from typing import Any
 
 import jax
 import jaxtyping
@@ -55,7 +56,7 @@ def _of_container(value):
     return (type(value), *map(told, value.items() if type(value) is dict else value))
 
 
-_ways = {int: _of_number, **dict.fromkeys((str, bool, type(None)), _of_value),
+_ways: dict[type, Any] = {int: _of_number, **dict.fromkeys((str, bool, type(None)), _of_value),
          **dict.fromkeys((tuple, list, dict), _of_container)}  # fmt: skip
 
 

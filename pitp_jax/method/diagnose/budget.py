@@ -11,10 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-_RUNS = 36_000  # runs of all records that the deepest searches took
 _EVERY_S = 5.0  # between lines of progress
-_LONG = 60.0  # s left from which the option that limits them is named
-_KNOWN = 0.01  # fraction of the steps after which the time left is printed
 
 
 @dataclass
@@ -41,23 +38,17 @@ class Budget:
     skipped: list[str] = field(default_factory=list)
     stopped: bool = False
     began: float = field(default_factory=time.monotonic)
-    _reported: tuple[float, int] = (0.0, 0)  # s since `began`, steps of the last line
+    _reported: float = 0.0  # s since `began`, of the last line
 
     def count(self, steps: int) -> None:
         """Add simulated steps to the count, and report progress every few seconds."""
         self.simulated_steps += steps
-        elapsed, (last, earlier) = self.elapsed, self._reported
-        if elapsed - last >= _EVERY_S:
-            rate = (self.simulated_steps - earlier) / (elapsed - last)
-            most = _RUNS * self.run_steps
-            remaining = max(min((most - self.simulated_steps) / rate, self.remaining), 0.0)
-            self._reported = elapsed, self.simulated_steps
-            hint = " (--seconds sets a limit)" if remaining > _LONG and np.isinf(self.seconds) else ""
-            # while programs are compiled few steps are simulated, and their rate predicts nothing
-            known = self.simulated_steps >= _KNOWN * most or np.isfinite(self.seconds)
-            self.progress(
-                f"{self.stage}: {elapsed:.0f} s elapsed{f', at most {remaining:.0f} s left' if known else ''}{hint}"
-            )
+        elapsed = self.elapsed
+        if elapsed - self._reported >= _EVERY_S:
+            self._reported = elapsed
+            # how deep a search goes is known at its end only; bounds on its steps were several times too high
+            of = f" of at most {self.seconds:.0f} s" if np.isfinite(self.seconds) else " s"
+            self.progress(f"{self.stage}: {elapsed:.0f}{of} elapsed")
 
     def begin(self, stage: str) -> None:
         """Report the start of a part of the diagnosis, such as the search of sets of two effects."""
