@@ -40,6 +40,7 @@ from pitp_jax.method.model.input_map import LinearInput, SquareInput
 from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate import ports
 from pitp_jax.method.simulate.decoder import rest_state, rollout
+from pitp_jax.method.simulate.model_runs import model_runs
 
 MODELS = Path(__file__).parent / "files" / "models_0_2_0"
 DT, SAMPLES = 2e-3, 2000
@@ -200,6 +201,23 @@ def test_an_effect_is_added_to_the_model_that_was_given(linear, nonlinear, order
         same = replace(made, effects=())
         for a, b in zip(jax.tree.leaves(same), jax.tree.leaves(given), strict=True):
             np.testing.assert_allclose(np.asarray(a, float), np.asarray(b, float), rtol=1e-5)
+
+
+@pytest.mark.parametrize("order", [3, 4])
+@pytest.mark.parametrize("name", ["force_limit", "slack"])
+def test_a_law_of_the_acceleration_acts_in_a_model_of_a_higher_order(linear, order, name):
+    """The run of the fit is that of the model handed back, and not that of the model without the law."""
+    given = linear(order, hz=5.0, damping=0.2, dt=DT)
+    slots = slots_of(given)[0]
+    row = next(r for r in ROWS if r.name == name)
+    slots[PLACES[row]] = NUMBERS[row.key]
+    simulator = Simulator((Drive(VOLTS, DT, (0.0, 0.0), 0.0, 0.0),), given, None, slots, 8)
+    plain, mine = simulator.run(np.stack([slots_of(given)[0], slots]), [0, 0], np.zeros((2, 2)))
+    made, _ = model_of(slots_of(given)[0], slots, given, SCALE)
+    made = replace(made, substeps=8)
+    whole = model_runs(made, VOLTS[None], DT, np.asarray(rest_state(made))[None])[1][0]
+    assert np.std(mine - plain) > 0.05 * np.std(plain)
+    assert np.std(whole - mine) < 0.02 * np.std(mine - plain)
 
 
 @pytest.mark.parametrize("part", [0.0, 0.2, 0.5, 0.8])

@@ -358,6 +358,8 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     slots[:3] = _no_faster(slots[:3], 2 / model.dt)
     same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
+    # a law of the acceleration needs a core of order two, as the search has it, with the lag or the filter behind it
+    same &= order < 3 or not any(r.port == "M" and r.resolved and is_on(r, slots) for r in ROWS)
     trained = not isinstance(model.encoder, ConstantEncoder)
     if order <= _MOST_POLES and (same or trained):
         inside = within_coefficients(nominal, order)
