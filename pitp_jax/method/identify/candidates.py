@@ -37,15 +37,16 @@ Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 def search(
     problem: Problem,
     response: FrequencyResponse,
+    pair: np.ndarray | None,
     *,
     orders: Sequence[int],
     holds: Sequence[Hold],
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """Fit and return all candidates in ascending order."""
+    """Fit and return all candidates in ascending order; `pair` holds known poles of order 2 (rad/s), or None."""
     by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
-    roots = cache(lambda order: guesses(order, problem))
+    roots = cache(lambda order: guesses(order, problem) + ([pair] if pair is not None and order == 2 else []))
     candidates: list[Candidate] = []
     for order in orders:
         if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, candidates):
@@ -68,7 +69,11 @@ def search(
                 continue
             structure, end = min(ends, key=lambda e: e[1][1])
             if delayed and np.exp(end[0][-1]) <= _DELAY * problem.fine:
-                continue
+                # no delay, but a start that the order without one did not have
+                if not here or end[1] * _NO_WORSE >= here[0].cost:
+                    continue
+                structure = here.pop().structure
+                end = _short(end[0][:-1], structure, problem)
             here.append(_scored(structure, end, problem))
         if not here:
             continue
