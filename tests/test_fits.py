@@ -320,19 +320,6 @@ def test_a_returned_model_takes_steps_that_its_friction_can_follow():
     assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(error)
 
 
-def test_a_recording_left_out_as_a_whole_is_predicted_by_the_fit_to_the_other(linear):
-    """Two springs under one slow input: what is left is the difference of the two motions, where parts leave one."""
-    given = linear(hz=2.5, dt=5e-3)
-    volts = 300 * (1 - np.cos(2 * np.pi * 0.2 * TIME))
-    springs = [given.changed(np.array([k, 1.0, 1.0])) for k in (1.5, 3.0)]
-    runs = [model_runs(m, volts[None], 5e-3, np.asarray(rest_state(m))[None])[1][0] for m in springs]
-    records = [pitp.Record(f"r{k}", TIME, volts, x * given.scales.state[0]) for k, x in enumerate(runs)]
-    search = Search(build_case(given, records), False)
-    found, apart = search.linear, np.std(runs[0] - runs[1])
-    np.testing.assert_allclose(np.sqrt(search.of_recordings(found).bare.mse), apart, rtol=0.05)
-    assert np.sqrt(found.evidence.bare.mse).min() < 0.1 * apart
-
-
 def test_a_held_input_is_held_at_the_rate_of_the_recordings(linear):
     """A nominal of 50 Hz beside recordings of 200 Hz: half a sample of the delay is theirs, so only noise is left."""
     held = replace(linear(hz=2.5, dt=0.02, hold="zoh"), substeps=4)

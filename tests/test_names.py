@@ -454,7 +454,7 @@ def test_a_model_is_handed_back_if_it_is_better_with_a_probability_of_nine_tenth
     h = replace(given, residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
     p = probability(h.evidence, given.evidence)
     assert (p > 0.9) if better else (0.5 < p < 0.9)
-    assert surely_improves(h.evidence, given) == better
+    assert surely_improves(h, given) == better
 
 
 @pytest.mark.usefixtures("no_reference")

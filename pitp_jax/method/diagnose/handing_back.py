@@ -21,7 +21,7 @@ from ..simulate.model_runs import model_runs
 from ..simulate.prediction import predict
 from ..simulate.voltage_only import rollout
 from . import rules
-from .evidence import Evidence, probability
+from .evidence import probability
 from .library import CORE, FREE, SHIFT, model_of
 from .own_error import residual
 from .search import PARAMETERS, Hypothesis, Search
@@ -56,10 +56,7 @@ def hand_back(
         tried += [h for h in search.level(1)[:2] if h not in tried]
     tried += [search.base, search.linear]
     for h in tried:
-        if not h.fit.free or SHIFT.name in h.names:
-            continue
-        # parts without a name are known only by what they predict: a recording of which they saw nothing
-        if not surely_improves(h.evidence if decision.said else search.of_recordings(h), search.given):
+        if not h.fit.free or SHIFT.name in h.names or not surely_improves(h, search.given):
             continue
         # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
@@ -76,9 +73,9 @@ def hand_back(
     return search.given, (model, []), ()
 
 
-def surely_improves(found: Evidence, given: Hypothesis) -> bool:
-    """Return whether errors out of fold are below the given model's with the probability that every claim needs."""
-    return probability(found.bare, given.evidence.bare) >= rules.SURE
+def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:
+    """Return whether a hypothesis beats the given model out of fold with the probability that every claim needs."""
+    return probability(h.evidence.bare, given.evidence.bare) >= rules.SURE
 
 
 def _error(h: Hypothesis) -> float:

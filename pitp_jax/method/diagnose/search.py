@@ -406,16 +406,6 @@ class Search:
             slots[0] /= max(1 + form.stiffness, 1.0)
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
-    def of_recordings(self, h: Hypothesis) -> Evidence:
-        """Cross-validate a hypothesis with every recording left out as a whole, however few there are."""
-        count = len(self.case.series)
-        if count == 1 or self.case.blocks == 1:
-            return h.evidence
-        fitter = Fitter(replace(self.case, folds=tuple((k,) for k in range(count))), self.budget)
-        fitter.bounds = self.fitter.bounds
-        ((rows,), _) = fitter.refitted_without([h.fit], _FOLD_STEPS)
-        return self.weigh(rows)
-
     def each_alone(self) -> Evidence | None:
         """Cross-validate a separate linear model for each recording; None if at least four are left out as a whole.
 
