@@ -207,9 +207,9 @@ def page(results: dict) -> str:
         "How good are the product's own commands on data that others have used? `experiments/records.py` made this "
         f"page with version {', '.join(versions)}. It uses the training recordings only: three ways to make a model "
         f"are tried on the first {100 * SPLIT:.0f} % of every training recording and judged on the rest, without the "
-        "mean of the error. The best way is repeated with all of the training data, and its free run is compared with the "
-        f"official test recordings once. Each set may use {BUDGET:.0f} CPU seconds. No option was tuned for a set. The "
-        "published errors are those of their authors and were not repeated.", "",
+        "mean of the error. The best way is repeated with all of the training data, and its free run is compared with "
+        f"the official test recordings once. Each set may use {BUDGET:.0f} CPU seconds. No option was tuned for a set. "
+        "The published errors are those of their authors and were not repeated.", "",
         "| data | error on the test | NRMSE (%) | goal | best published | way | CPU s |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
