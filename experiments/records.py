@@ -209,9 +209,8 @@ def page(results: dict) -> str:
         f"page with version {', '.join(versions)}. It uses the training recordings only: three ways to make a model "
         f"are tried on the first {100 * SPLIT:.0f} % of every training recording and judged on the rest, without the "
         "mean of the error. The best way is repeated with all of the training data, and its free run is compared with "
-        f"the official test recordings once. Each set may use {BUDGET:.0f} CPU seconds (the goal was 300). No option was "
-        "tuned for a set. "
-        "The published errors are those of their authors and were not repeated.", "",
+        f"the official test recordings once. Each set may use {BUDGET:.0f} CPU seconds (the goal was 300). No option "
+        "was tuned for a set. The published errors are those of their authors and were not repeated.", "",
         "| data | error on the test | NRMSE (%) | goal | best published | way | CPU s |",
         "|---|---|---|---|---|---|---|",
     ]  # fmt: skip
