@@ -15,7 +15,7 @@ import pitp_jax
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 5910, "method/numerics": 9900, "method/signal": 13250, "method/model": 12480, "method/effects": 11343,
-    "method/simulate": 18460, "method/fit": 9000, "method/identify": 25364, "method/train": 15700,
+    "method/simulate": 18460, "method/fit": 9000, "method/identify": 25383, "method/train": 15700,
     "method/invert": 19009, "method/diagnose": 51900, "method/adapt": 4900, "files/containers": 32890,
     "files/recordings": 13020, "files/model_file": 5900, "files/export": 11449, "files/mjcf": 8864,
     "application/commands": 20070, "application/pages": 11020, "application/compare": 10900, "application/plan": 9740,

@@ -5,7 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from played import DT, TIME, nominal_of, play
+from played import DT, FEW, TIME, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
@@ -14,7 +14,7 @@ from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import probability
 from pitp_jax.method.diagnose.fit import Fit, Fitter
 from pitp_jax.method.diagnose.handing_back import is_steady, stable
-from pitp_jax.method.diagnose.library import INDEX, PLACES, sections, slots_of_row
+from pitp_jax.method.diagnose.library import INDEX, PLACES, bounds, sections, slots_of_row
 from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.effects import lookup
 from pitp_jax.method.model.domain import Domain
@@ -331,3 +331,26 @@ def test_a_held_input_is_held_at_the_rate_of_the_recordings(linear):
                for k, g in enumerate(rngs)]  # fmt: skip
     search = Search(build_case(held, records), False)
     assert search.given.rms * held.scales.state[0] < 1.2 * noise
+
+
+@pytest.mark.slow
+def test_a_model_handed_back_has_the_offset_of_its_free_runs(nominal):
+    """Every recording begins in motion, with an offset of 0.4 mm that the nominal does not have."""
+    real = replace(nominal, effects=(effect("stiffening", "cubic", jnp.asarray(0.3)),))
+    records = [pitp.Record(r.name, r.time[301:], r.voltage[301:], r.displacement[301:] + 4e-4) for r in play(real)]
+    found = pitp.diagnose(nominal, records, exclude=FEW)
+    assert found.effects == ("stiffening",) and found.model.model.output.offset == pytest.approx(4e-4, abs=2e-5)
+
+
+def test_times_are_those_of_a_plant_without_a_spring(linear):
+    """a_2 x'' + a_1 x' = F with a spring of rounding: the unit of time is a_2 / a_1; no memory outlasts it all."""
+    real = linear(2, hz=1e-4, damping=2e3, dt=5e-3)  # real poles at 1.6e-7 and 2.5 rad/s
+    real = replace(real, input_map=LinearInput())
+    time = np.arange(4000) * 5e-3
+    volts = 100 * np.sin(2 * np.pi * 0.3 * time)
+    x = model_runs(real, volts[None], 5e-3, np.asarray(rest_state(real))[None])[1][0] * real.scales.state[0]
+    scale = Search(build_case(real, [pitp.Record("r", time, volts, x + 1e-9)]), False).scale
+    a = real.physical_coefficients
+    assert scale.tau == pytest.approx(a[2] / a[1], rel=0.05)
+    times = {k: high for k, (_, high) in bounds(scale).items() if k.endswith(", tau")}
+    assert times and max(times.values()) == pytest.approx(10 * 20.0, rel=0.01)

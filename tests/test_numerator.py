@@ -125,3 +125,10 @@ def test_a_rational_fit_finds_the_poles_zeros_and_delay_of_a_response():
 )
 def test_a_resonance_is_a_pole_pair_that_the_response_needs(denominator, delay, needed):
     assert needs_resonance(response([1.0], denominator, delay), DT) == needed
+
+
+def test_an_output_equal_to_the_input_has_a_gain_of_one():
+    """The poles wander at a constant residual, and must not overflow."""
+    u = np.repeat(np.random.default_rng(0).uniform(-1, 1, 30), 40)
+    found = identify([Record("r", TIME[:1200], u, u.copy(), "rad", "rad")], input_map="linear")
+    assert abs(found.chosen.coefficients[0] - 1.0) < 0.01

@@ -10,6 +10,7 @@ from pitp_jax.method.effects import lookup
 from pitp_jax.method.fit.sensor_offset import with_offset
 from pitp_jax.method.simulate.decoder import rest_state
 from pitp_jax.method.simulate.model_runs import model_runs
+from pitp_jax.method.train.errors import judge
 
 
 def test_an_offset_that_no_recording_shows_is_that_of_the_free_runs(linear):
@@ -25,3 +26,6 @@ def test_an_offset_that_no_recording_shows_is_that_of_the_free_runs(linear):
     assert [p.begins for p in predict(wrong, [moving]) + predict(wrong, [whole])] == ["moving", "rest"]
     np.testing.assert_allclose(with_offset(wrong, [moving]).output.offset, 4e-4, atol=2e-6)
     assert with_offset(wrong, [whole]).output.offset == 1e-4
+    trained = judge(wrong, [moving])(wrong)
+    np.testing.assert_allclose(trained.model.output.offset, 4e-4, atol=2e-6)
+    assert trained.trained[0] < 0.1 < trained.nominal[0]

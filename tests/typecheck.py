@@ -97,7 +97,7 @@ def remembering(fn=None, *, typechecker):
         if jaxtyping.config.jaxtyping_disable:
             return fn(*args, **options)
         try:
-            # a str among the arguments is told with its type, so that it cannot be the name of an option
+            # the key holds the type beside a str, so that an argument cannot equal the name of an option
             key = (*map(told, args), *options, *map(told, options.values()))
             results = seen.get(key)
         except (LookupError, TypeError):

@@ -32,8 +32,8 @@ def trainer(monkeypatch):
         def __call__(self, nominal, records, **options):
             self.calls.append((nominal, [r.name for r in records], options))
             for step in (1, 2):
-                options["progress"](training.Progress("stage 1", step, 2, 1.5, 0.25, 0.125, 61.0))
-            options["progress"](training.Progress("free runs", 1, 1, None, 0.1, 0.1, float("nan")))
+                options["progress"](training.Progress("stage 1", step, 2, 1.5, 0.25, 0.125))
+            options["progress"](training.Progress("free runs", 1, 1, None, 0.1, 0.1))
             if self.error:
                 raise self.error
             encoder = CompactEncoder(2, 0, width=4, key=options["key"])
@@ -138,7 +138,7 @@ def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
     bar = ProgressBar()
     for step in range(1, 101):
-        bar.update(training.Progress("stage 1", step, 100, 1.5, 0.25, 0.125, 300.0))
+        bar.update(training.Progress("stage 1", step, 100, 1.5, 0.25, 0.125))
     say("done")
     drawn = terminal.getvalue().split("\r\x1b[K")
     assert drawn[1].startswith("[....................] stage 1: 1/100  box 1.5")

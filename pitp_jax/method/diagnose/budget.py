@@ -46,7 +46,7 @@ class Budget:
         elapsed = self.elapsed
         if elapsed - self._reported >= _EVERY_S:
             self._reported = elapsed
-            # how deep a search goes is known at its end only; bounds on its steps were several times too high
+            # the depth of a search is known only at its end, so no remaining time is printed
             of = f" of at most {self.seconds:.0f} s" if np.isfinite(self.seconds) else " s"
             self.progress(f"{self.stage}: {elapsed:.0f}{of} elapsed")
 

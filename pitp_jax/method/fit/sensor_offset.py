@@ -1,9 +1,9 @@
-"""Set the sensor's offset of a model where no recording shows it at rest.
+"""Estimate the sensor offset of a model from its free runs, where no recording starts at rest.
 
-    offset = median over records of    mean(y - d x),    x: free run, d: direction
+    offset = median over records of    mean(y - d x),    y: reading, x: free run, d: direction
 
-Of recordings that start moving the offset is the reading that the model extrapolates to 0 V. A hardening spring rests
-elsewhere than the linear model that it replaces: its offset was 3 mV off where its runs left 0.3 mV.
+If every recording starts in motion, the offset is the reading at 0 V that a model extrapolates. A linear model and the
+nonlinear one that replaces it have different mean displacements, so the offset of the first is wrong for the second.
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,10 @@ from ..simulate.prediction import predict
 
 
 def with_offset(model: Model, records: Sequence[Record]) -> Model:
-    """Return the model with the offset (base unit) of its free runs; its own if a record begins at rest or diverges."""
+    """Return the model with the sensor offset (base unit) of its free runs.
+
+    The model keeps its own offset if a record starts at rest or a free run diverges.
+    """
     runs = predict(model, records)
     if any(p.begins == "rest" or p.diverged for p in runs):
         return model

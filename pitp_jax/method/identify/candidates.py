@@ -26,7 +26,7 @@ from .starts import best_starts, guesses, one_more
 NEAR = 1.03
 _ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
-_HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
+HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
 _ALIKE = 1e-4  # fraction of a cost: two fits that differ by less found the same minimum
 _STEPS, _LEAST_STEP = 40, 1e-5  # limits of a fit that is only compared; the chosen one is continued
 _DELAY = 0.05  # samples: a shorter delay counts as none; a delay also starts here, because 0 has no slope
@@ -37,16 +37,15 @@ Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 def search(
     problem: Problem,
     response: FrequencyResponse,
-    pair: np.ndarray | None,
     *,
     orders: Sequence[int],
     holds: Sequence[Hold],
     delays: Sequence[bool],
     progress: Callable[[str], None],
 ) -> list[Candidate]:
-    """Fit and return all candidates in ascending order; `pair` holds known poles of order 2 (rad/s), or None."""
+    """Fit and return all candidates in ascending order."""
     by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
-    roots = cache(lambda order: guesses(order, problem) + ([pair] if pair is not None and order == 2 else []))
+    roots = cache(lambda order: guesses(order, problem))
     candidates: list[Candidate] = []
     for order in orders:
         if order > _ALWAYS and len(orders) > 1 and not _worth_trying(order, candidates):
@@ -91,10 +90,12 @@ def without_spring(candidates: Sequence[Candidate], problem: Problem, holds: Seq
         slowest = np.argmin(np.abs(known))
         if np.abs(known[slowest]) * problem.seconds > 1:
             continue
+        rest = np.delete(known, slowest)
+        rest = np.where(np.isclose(rest, np.conj(known[slowest])), -np.abs(rest), rest)  # half of a pair is real
         ends: list[tuple[Structure, Ending]] = []
         for hold in holds:
             structure = replace(c.structure, integrates=True, hold=hold)
-            roots = [np.delete(known, slowest), *(guesses(structure.moved, problem) if structure.moved else [])]
+            roots = [rest, *(guesses(structure.moved, problem) if structure.moved else [])]
             starts = best_starts(structure, problem, [] if ends else roots, most=2)
             starts += [_under(hold, end, problem) for end in ends]
             ends += [(structure, _short(start, structure, problem)) for start in starts]
@@ -120,8 +121,8 @@ def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
     if not known:
         return False
     first, best = order == _ALWAYS + 1, choose(known)
-    unexplained = first and best.score > _HALF
-    return unexplained or best.structure.order >= order - 1 - first or costs[1] < _HALF * costs[0]
+    unexplained = first and best.score > HALF
+    return unexplained or best.structure.order >= order - 1 - first or costs[1] < HALF * costs[0]
 
 
 def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:

@@ -37,7 +37,7 @@ from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
 from ..signal.sets import check_set
 from .beginnings import find_beginnings
-from .candidates import NEAR, choose, search, without_spring
+from .candidates import HALF, NEAR, choose, search, without_spring
 from .explained import explains, is_noise
 from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
@@ -228,7 +228,7 @@ def _identified(
     whole = build_problem(records, input_map, begun)
     small = _averaged(records, input_map, whole, roots, finest)
     response = frequency_response(whole)
-    candidates = _candidates(small, response, roots, order, hold, learn, leave_out, progress)
+    candidates = _candidates(small, response, order, hold, learn, leave_out, progress)
     if input_map == "linear":
         candidates += without_spring(candidates, small, [hold] if hold else _HOLDS)
     chosen, fit = _determined([c for c in candidates if c.known] or candidates, whole, small, hold)
@@ -287,7 +287,7 @@ def _check_options(
 
 
 def _candidates(
-    small: Problem, response: FrequencyResponse, roots, order: int | str, hold: Hold | None, learn: Sequence[str],
+    small: Problem, response: FrequencyResponse, order: int | str, hold: Hold | None, learn: Sequence[str],
     leave_out: Sequence[str], progress: Callable[[str], None],
 ) -> list[Candidate]:  # fmt: skip
     """Fit candidate models of the orders, holds of the input and delays that the options allow, in ascending order.
@@ -296,13 +296,13 @@ def _candidates(
         ComputationFailed: none of them could be simulated.
     """
     candidates: list[Candidate] = []
-    # A sharp resonance has a minimum every period of the record: before a refusal, use the starts without the response.
+    # A sharp resonance has a minimum every period of the record: the response may lead to one that explains nothing.
     for known in (response, UNKNOWN_RESPONSE):
-        candidates = search(
-            small, known, roots, orders=ORDERS if order == "auto" else (int(order),), progress=progress,
+        candidates += search(
+            small, known, orders=ORDERS if order == "auto" else (int(order),), progress=progress,
             holds=_HOLDS if hold is None else (hold,), delays=[False] if "delay" in leave_out else [False, True],
-        ) or candidates  # fmt: skip
-        if order == "auto" or not response.rich or any(c.known for c in candidates):
+        )  # fmt: skip
+        if not response.rich or any(c.known and c.score < HALF for c in candidates):
             break
     if not candidates:
         raise ComputationFailed(

@@ -94,12 +94,13 @@ def _creeps(fitted: Numerator) -> bool:
 def _fitted(found: Rational, zeros: int, problem: Problem, deviation: float, without: float) -> Numerator:
     """Fit poles, delay and numerator to the recordings under either hold, with as many zeros at 0 Hz as fit as well."""
     start, fits = np.append(logs_from_roots(found.poles), found.delay / problem.dt), []
+    within = start - 20, start + 20  # a pole that wanders without changing the residual must not overflow
     for hold, lowest in product(("foh", "zoh"), range(zeros + 1)):
 
         def left(p, hold=hold, lowest=lowest):
             return _left(poles(p[:-1]), p[-1] * problem.dt, slice(lowest, zeros + 1), problem, hold)
 
-        fit = least_squares(lambda p, left=left: left(p)[0], start, x_scale=0.1, max_nfev=15)
+        fit = least_squares(lambda p, left=left: left(p)[0], start, x_scale=0.1, max_nfev=15, bounds=within)
         factors = np.append(np.zeros(lowest), left(fit.x)[1])
         error = float(np.sqrt(2 * fit.cost)) / deviation
         fits.append(Numerator(poles(fit.x[:-1]), np.roots(factors[::-1]), error, without))

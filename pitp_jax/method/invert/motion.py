@@ -119,6 +119,6 @@ def standing(model: Model, voltage: float, dt: float, seconds: float) -> tuple[F
     level /= float(model.scales.state[0])
     # start at the nominal's own level; encoder and effects change it, so the model runs until it stands still
     begun = still_state(model, jnp.asarray(level, kind), jnp.asarray(voltage, kind), 0.0)
-    count = int(np.clip(seconds / dt, 64, 100_000))  # samples until the machine stands still
+    count = int(np.clip(seconds / dt, 64, 100_000))  # samples; a longer wait is not simulated
     state = fast_rollout(model, jnp.full((1, count), voltage, kind), dt, begun[None])[0, -1]
     return state, float(state[0]) * float(model.scales.state[0])

@@ -16,7 +16,6 @@ because only they show creep. The other half goes to the beginnings of the other
 Benefits and alternatives: docs/decisions/free_runs.md.
 """
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -165,13 +164,12 @@ def lower_bound(model: Model, sizes, step: float) -> LowerBound:
 
 def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how: _How) -> Iterator[tuple[Model, dict]]:
     runs = _problem(model, batches, how)
-    costs, began, start = [], time.monotonic(), runs.bound.coordinates(parameters(model)[0])
+    costs, start = [], runs.bound.coordinates(parameters(model)[0])
     for k, (vector, cost, done) in enumerate(accelerated(runs.errors, runs.slopes, start)):
         if not np.isfinite(cost):
             raise ComputationFailed("the free runs diverged before refinement; check the recordings for spikes")
         costs.append(cost)
-        remaining = (time.monotonic() - began) / (k + 1) * (count - k)
-        how.report(stage, k, count, cost, min(costs), remaining)
+        how.report(stage, k, count, cost, min(costs))
         if k:  # the first is the start itself
             yield with_parameters(model, runs.bound.parameters(vector)), {"stage": stage, "step": k, "error": cost}
         if done or _is_flat(np.log(costs).tolist()) or k == count:

@@ -59,7 +59,6 @@ class Progress:
     box: float | None
     loss: float
     best: float
-    seconds_left: float
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,8 +218,8 @@ def _attempts(
     zero, from start 3 with ten times firmer nets each time. A start that no longer improves the score is the last.
     """
 
-    def report(stage, step, steps, value, best, remaining):
-        progress(Progress(stage, step, steps, None, value, best, remaining))
+    def report(stage, step, steps, value, best):
+        progress(Progress(stage, step, steps, None, value, best))
 
     def refined(model: Model, firm: float):
         firmness, steps = firm * firmness_of(settings, model, len(records)), settings.refine_steps
@@ -271,8 +270,7 @@ def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Mo
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Run Algorithm 1 of the paper: yield (best model, history entry) after every stage."""
-    total = sum(max(1, int(settings.epochs * settings.decay_epochs**j)) for j in range(settings.stages))
-    best_model, best, constraint, count, began = model, np.inf, np.inf, 0, time.monotonic()
+    best_model, best = model, np.inf
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
@@ -288,14 +286,13 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             params, state, (physics, constraint) = _epoch(
                 params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
             )
-            physics, constraint, count = float(physics), float(constraint), count + 1
+            physics, constraint = float(physics), float(constraint)
             if not np.isfinite(physics + constraint):
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
                 return  # free runs start at the best so far: at first the nominal
             if physics < best:
                 best, best_model = physics, replace(best_model, encoder=eqx.combine(params, static))
-            remaining = (time.monotonic() - began) / count * (total - count)
-            progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best, remaining))
+            progress(Progress(f"stage {j + 1}", epoch + 1, epochs, box[1], physics + constraint, best))
         yield (
             best_model,
             {"stage": j + 1, "box": list(box), "physics": best, "constraint": constraint, "epochs": epochs},
