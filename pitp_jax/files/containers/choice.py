@@ -40,18 +40,16 @@ class Choice:
     """The column chosen for one quantity, with its unit.
 
     Attributes:
-        place: among the table's columns; None for a time that --rate or the channels' own clock makes.
+        place: among the table's columns; None for a time that --rate makes.
         name: its header.
         unit: of its values.
         note: further remark for the summary, or empty.
-        clock: (first time, step) of the channels' own clock.
     """
 
     place: int | None
     name: str
     unit: str
     note: str = ""
-    clock: tuple[float, float] | None = None
 
     def __str__(self):
         return f"{self.name!r} in {self.unit}{f' ({self.note})' if self.note else ''}"
@@ -91,14 +89,6 @@ class _Seen:
         return (self.unknown or "").lower() in _COUNTERS
 
 
-class _Ask(Exception):
-    """A question to the user about one quantity, with the options to suggest."""
-
-    def __init__(self, why: str, options: Sequence[str] = ()):
-        super().__init__(why)
-        self.options = list(options)
-
-
 def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
     """Choose the columns that hold these quantities, and their units.
 
@@ -120,19 +110,12 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     for quantity in quantities:
         try:
             chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
-        except _Ask as ask:
+        except Refused as ask:
             problems[quantity] = ask
-    # the channels may carry the clock themselves (TDMS): known only once they are chosen
     ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
-    if "time" in problems and options.time_column is None and len(ports) == len(quantities) - 1 and not pools["time"]:
-        try:
-            chosen["time"] = _own_clock(ports)
-            del problems["time"]
-        except _Ask as ask:
-            problems["time"] = ask
     places = [choice.place for choice in chosen.values() if choice.place is not None]
     if len(set(places)) < len(places):
-        problems["voltage"] = _Ask("one column is chosen twice; choose different input and output columns")
+        problems["voltage"] = Refused("one column is chosen twice; choose different input and output columns")
     elif (
         len(ports) == 2
         and not (options.input_column or options.output_column)
@@ -145,20 +128,20 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
-        problems["voltage"] = _Ask(why, ["--input-column", names[0], "--output-column", names[1]])
+        problems["voltage"] = Refused(why, ["--input-column", names[0], "--output-column", names[1]])
     clock = chosen.get("time")
     bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
     if problems and clock is not None and clock.place is not None and bare and options.rate is None:
         strange = clock_question(_values(table, clock.place), clock.name)
         if strange:  # all problems at once
-            problems["time"] = _Ask(strange, ["--time-unit", "UNIT"])
+            problems["time"] = Refused(strange, ["--time-unit", "UNIT"])
     if problems:
-        why = "; ".join(str(ask) for ask in problems.values())
+        why = "; ".join(ask.why for ask in problems.values())
         words = _suggested(table, seen, pools, chosen, problems, options, quantities)
         stems = [f"--{OPTIONS[q]}-column{' or --rate HZ' if q == 'time' else ''}" for q in problems]
         hint = "" if words else f"; give {', '.join(stems)}"
         hint = f"; the file says {table.hint}" if table.hint else hint
-        raise Refused(table.source, why + hint, words, f"columns here: {listed(table.columns)}")
+        raise Refused(why + hint, words, f"columns here: {listed(table.columns)}")
     return chosen
 
 
@@ -330,19 +313,19 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     if not pool and wanted is not None:
         several = {s.column.name for s in seen} >= {name.strip() for name in wanted.split(",")}
         one = "a recording has one input and one output; " if several else ""
-        raise _Ask(f"column {wanted!r} is missing; {one}give --{stem}-column one of the columns of the file")
+        raise Refused(f"column {wanted!r} is missing; {one}give --{stem}-column one of the columns of the file")
     if not pool and quantity == "time" and options.rate is not None:
         return Choice(None, "--rate", "s")
     if not pool:
-        worded = [s for s in seen if s.column.form == "text" and s.role == stem]
+        worded = [s.column.name for s in seen if s.column.form == "text" and s.role == stem]
         if worded:
-            raise _Ask(f"column {worded[0].column.name!r} holds text; write plain numbers without thousands separators")
-        raise _Ask(f"the {_WORD[quantity]} is missing")
+            raise Refused(f"column {worded[0]!r} holds text; write plain numbers without thousands separators")
+        raise Refused(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]
         twice = len(set(names)) < len(names)
         remedy = f"{'rename or delete one, or ' * twice}choose one with --{stem}-column {'NUMBER' if twice else 'NAME'}"
-        raise _Ask(
+        raise Refused(
             f"{_names(names)}: {len(names) if len(names) > 2 else 'two'} columns may be the {_WORD[quantity]}; {remedy}"
         )
     return _with_unit(pool[0], quantity, options, _beside(seen, pool[0], quantity) if wanted is None else "")
@@ -370,14 +353,14 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         return Choice(seen.place, name, given, over)
     if seen.conflict:
         first, second = seen.conflict[:2]
-        raise _Ask(
+        raise Refused(
             f"column {name!r} has two units, {first} in its name and {second} in its unit; give --{stem}-unit",
             [f"--{stem}-unit", first],
         )
     if seen.written and quantity != "time":
         return Choice(seen.place, name, seen.written, note)
     if seen.unknown:
-        raise _Ask(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_FEW[quantity]}")
+        raise Refused(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_FEW[quantity]}")
     if fits:
         return Choice(seen.place, name, fits, note)
     if seen.unit is None and options.scale(quantity) is not None:
@@ -385,25 +368,7 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     if quantity == "time" and seen.unit is None:
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
     why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is not a unit"
-    raise _Ask(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_FEW[quantity]}")
-
-
-def _own_clock(ports: Sequence[_Seen]) -> Choice:
-    """Return the clock that the chosen channels carry themselves, as in TDMS files.
-
-    Raises:
-        _Ask: they have none, or differ.
-    """
-    clocks = [s.column.clock for s in ports if s.column.clock is not None]
-    if len(clocks) < len(ports) or not clocks:
-        raise _Ask(f"the {_WORD['time']} is missing")
-    if any(not np.allclose(clock, clocks[0], rtol=1e-9, atol=1e-9) for clock in clocks):
-        steps = ", ".join(f"{step:g} s" for _, step in clocks)
-        raise _Ask(
-            f"{_names([s.column.name for s in ports])} have different clocks (sampling intervals {steps}); "
-            "give --rate HZ"
-        )
-    return Choice(None, "the channels' own clock", "s", clock=clocks[0])
+    raise Refused(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_FEW[quantity]}")
 
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:

@@ -104,7 +104,7 @@ def _one_signal(one: Loaded) -> Loaded:
     name, keys = turns
     some = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
     why = f"column {name!r} has {len(keys)} values ({some}) that take turns, so each row is of one of them; split by it"
-    raise Refused(one.table.source, why, ["--split-by", name])
+    raise Refused(why, ["--split-by", name])
 
 
 def _ours(table: Table) -> bool:
@@ -148,9 +148,7 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
             for q, c in chosen.items():
                 if c.place is not None:
                     words += [f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit]
-            raise Refused(
-                table.source, f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words
-            )
+            raise Refused(f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words)
     return table, chosen
 
 
@@ -172,9 +170,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     loaded = {}
     with np.errstate(over="ignore"):  # infinite values are refused later
         for quantity, choice in chosen.items():
-            if choice.clock is not None and choice.place is None:
-                loaded[quantity] = choice.clock[0] + choice.clock[1] * np.arange(count)
-            elif choice.place is not None:
+            if choice.place is not None:
                 # unit first, scale second: 2 V of a monitor of 1000 V per V
                 base = to_base(values[choice.place] - options.offset(quantity), choice.unit)
                 scale = options.scale(quantity)
@@ -182,15 +178,17 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     if "time" in chosen:
         chosen = chosen | {"time": _timed(table, chosen["time"], loaded, count, options)}
     rows, stands = None, 1.0
+    if "time" in chosen and chosen["time"].place is not None:
+        loaded, rows = _without_empty_rows(loaded)
     if "voltage" in chosen and "time" in chosen:
-        loaded, rows, fraction = hold_sparse(loaded)
-        if rows is not None:
+        loaded, held, fraction = hold_sparse(loaded)
+        if held is not None:
             note = f"in {100 * fraction:.2g} % of the rows, held constant between them"
             chosen = chosen | {"voltage": chosen["voltage"].noted(note)}
         elif "displacement" in loaded:
-            loaded, rows, chosen, stands = _as_refreshed(loaded, chosen)
-    if "time" in chosen and chosen["time"].place is not None:
-        loaded, rows = _without_empty_rows(loaded, rows)
+            loaded, held, chosen, stands = _as_refreshed(loaded, chosen)
+        if held is not None:
+            rows = held if rows is None else rows[held]
     return Loaded(table, chosen, {q: loaded[q] for q in chosen}, options, rows=rows, stands=stands)
 
 
@@ -238,8 +236,7 @@ def _values(
         rest = [place for place in places if place != clock.place]
         values = dict(zip(rest, table.load(rest), strict=True))  # errors in these come first
         if options.rate is None:
-            why = str(error).removeprefix(f"{table.source}: ")
-            raise Refused(table.source, why, ["--rate", "RATE"]) from None
+            raise Refused(str(error), ["--rate", "RATE"]) from None
         return values, chosen | {"time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")}
 
 
@@ -249,13 +246,13 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
     Raises:
         BadInput: whole numbers without a unit, an empty clock.
     """
-    source, name, rate = table.source, choice.name, options.rate
+    name, rate = choice.name, options.rate
     time = loaded.get("time")
     if time is None:
         assert rate is not None
         if 0 < table.blanks < count / 2:
             raise BadInput(
-                f"{source}: {table.blanks} empty lines between the rows of a file without a clock; split the file "
+                f"{table.blanks} empty lines between the rows of a file without a clock; split the file "
                 "there if samples were lost"
             )
         loaded["time"] = np.arange(count) / rate
@@ -266,10 +263,10 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         unfit = f"the clock {name!r} has {len(time)} values for {count} samples; give --rate HZ"
     elif not len(seen) or (len(seen) < 2 and rate is not None):
         unfit = f"the clock {name!r} is empty; give --rate HZ"
-    elif len(seen) > 1 and choice.clock is None and choice.note.startswith("no unit"):
+    elif len(seen) > 1 and choice.note.startswith("no unit"):
         unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
     if unfit and rate is None:
-        raise Refused(source, unfit, remedy)
+        raise Refused(unfit, remedy)
     if unfit and rate is not None:
         loaded["time"] = np.arange(count) / rate
         return Choice(None, "--rate", "s", unfit.partition(";")[0])
@@ -285,37 +282,33 @@ def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
     return "" if seconds else f"the clock {name!r} has no unit"
 
 
-def _without_empty_rows(loaded: dict[str, np.ndarray], rows: np.ndarray | None) -> tuple[dict, np.ndarray | None]:
-    """Drop rows in which all columns are empty; the time then shows the gap."""
+def _without_empty_rows(loaded: dict[str, np.ndarray]) -> tuple[dict, np.ndarray | None]:
+    """Drop rows that hold neither input nor output; the time then shows the gap."""
     if len({len(v) for v in loaded.values()}) > 1:
-        return loaded, rows
-    # an empty input alone must be refused later
-    empty = np.all([np.isnan(v) for v in loaded.values()], axis=0)
-    if not empty.any():
-        return loaded, rows
-    rows = np.arange(len(empty)) if rows is None else rows
-    return {q: v[~empty] for q, v in loaded.items()}, rows[~empty]
+        return loaded, None
+    # an empty input alone must be refused later, as must a time at which the only signal is missing
+    full = np.any([~np.isnan(v) for q, v in loaded.items() if q != "time" or len(loaded) < 3], axis=0)
+    if full.all() or not full.any():
+        return loaded, None
+    return {q: v[full] for q, v in loaded.items()}, np.flatnonzero(full)
 
 
 def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, name: str) -> list[Loaded]:
     """Split the rows by the values of a column, in order of first appearance."""
     places = [k for k, c in enumerate(table.columns) if c.name == name]
     if not places:
-        raise BadInput(f"{table.source}: column {name!r} of --split-by is missing; give one of {listed(table.columns)}")
+        raise BadInput(f"column {name!r} of --split-by is missing; give one of {listed(table.columns)}")
     whole = _load(table, chosen, options)
     count = len(whole.values["voltage"] if "voltage" in whole.values else next(iter(whole.values.values())))
     keys = table.texts(places[0]) if table.texts is not None else table.load(places)[0]
     keys = keys if whole.rows is None else keys[whole.rows[whole.rows < len(keys)]]
     if len(keys) != count:
-        raise BadInput(f"{table.source}: column {name!r} of --split-by has {len(keys)} values for {count} samples")
+        raise BadInput(f"column {name!r} of --split-by has {len(keys)} values for {count} samples")
     # run 1.0 of a float column is named 1
     labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
     if len(first) > _MOST_PARTS:
-        raise BadInput(
-            f"{table.source}: column {name!r} of --split-by has {len(first)} values; choose a column that numbers the "
-            "runs"
-        )
+        raise BadInput(f"column {name!r} of --split-by has {len(first)} values; choose a column that numbers the runs")
     parts = []
     for label in first:
         # a run may continue later in the file

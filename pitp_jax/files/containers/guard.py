@@ -25,26 +25,24 @@ _UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to
 _UNFOLDED_BYTES = 256 << 20  # 256 MiB, or 20 times the size of a large archive
 
 
-def check_columns(count: int, source: str) -> None:
+def check_columns(count: int) -> None:
     """Refuse a file with more than 4096 columns.
 
     Raises:
         BadInput: with the count.
     """
     if count > MAX_COLUMNS:
-        raise BadInput(f"{source}: {count} columns, more than {MAX_COLUMNS}; keep the columns of one actuator")
+        raise BadInput(f"{count} columns, more than {MAX_COLUMNS}; keep the columns of one actuator")
 
 
-def check_count(count: int, source: str) -> None:
+def check_count(count: int) -> None:
     """Refuse a file with more than 10 million samples.
 
     Raises:
         BadInput: with the count.
     """
     if count > MAX_SAMPLES:
-        raise BadInput(
-            f"{source}: {count} samples, more than {MAX_SAMPLES}; split the recording or average it to a lower rate"
-        )
+        raise BadInput(f"{count} samples, more than {MAX_SAMPLES}; split the recording or average it to a lower rate")
 
 
 def most_unfolded(size: int) -> int:
@@ -52,7 +50,7 @@ def most_unfolded(size: int) -> int:
     return min(max(_UNFOLDED * size, _PLAIN), max(_UNFOLDED_BYTES, 20 * size))
 
 
-def check_unfolded(unfolded: int, size: int, source: str) -> None:
+def check_unfolded(unfolded: int, size: int) -> None:
     """Refuse an archive whose unpacked size exceeds the limit.
 
     Raises:
@@ -60,7 +58,7 @@ def check_unfolded(unfolded: int, size: int, source: str) -> None:
     """
     if unfolded > most_unfolded(size):
         raise BadInput(
-            f"{source}: unpacks from {size} to {unfolded} bytes or more (limits: {_UNFOLDED} times its size and "
+            f"unpacks from {size} to {unfolded} bytes or more (limits: {_UNFOLDED} times its size and "
             f"{_UNFOLDED_BYTES >> 20} MiB); save it uncompressed, or split the recording"
         )
 
@@ -71,32 +69,28 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
     Raises:
         BadInput: it cannot be read, is a device or a pipe, is empty, or of unreasonable size.
     """
-    source = cleaned(path)
     try:
         # a pipe would block forever, a device would never end
         state = os.stat(path)
         if not stat.S_ISREG(state.st_mode):
-            raise BadInput(f"{source}: is not a regular file; copy the recording into one")
+            raise BadInput("is not a regular file; copy the recording into one")
         if count < 0 and state.st_size > MAX_BYTES:
-            raise BadInput(f"{source}: {state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the recording")
+            raise BadInput(f"{state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the recording")
         with open(path, "rb") as file:
             data = file.read(count)
     except OSError as error:
-        raise BadInput(
-            f"{source}: cannot be read: {error.strerror or error}; check the path and its access rights"
-        ) from None
+        raise BadInput(f"cannot be read: {error.strerror or error}; check the path and its access rights") from None
     if not data:
-        raise BadInput(f"{source}: the file is empty (0 bytes); record it again or leave it out")
+        raise BadInput("the file is empty (0 bytes); record it again or leave it out")
     return data
 
 
-def as_column(values: Any, column: str, source: str) -> np.ndarray:
+def as_column(values: Any, column: str) -> np.ndarray:
     """Convert one stored variable to a float64 column; row and column vectors are both accepted.
 
     Args:
         values: array as stored, shape (T,), (T, 1), (1, T) or any with one axis longer than 1.
         column: its name, for messages.
-        source: the file, for messages.
 
     Raises:
         BadInput: text, objects or complex numbers where real numbers belong, a matrix, too many samples.
@@ -104,19 +98,19 @@ def as_column(values: Any, column: str, source: str) -> np.ndarray:
     values = np.asarray(values)
     if values.dtype.kind not in "fiub":
         kind = {"c": "complex numbers", "S": "text", "U": "text"}.get(values.dtype.kind, "not plain numbers")
-        raise BadInput(f"{source}: column {column!r}, sample 0: {kind} instead of real numbers; store it as float64")
+        raise BadInput(f"column {column!r}, sample 0: {kind} instead of real numbers; store it as float64")
     # (T, 1) and (1, T) are vectors, as MATLAB writes them
     if values.ndim > 1 and values.size != max(values.shape):
         raise BadInput(
-            f"{source}: column {column!r}, sample 0: a matrix of shape {values.shape} instead of a vector; store one "
+            f"column {column!r}, sample 0: a matrix of shape {values.shape} instead of a vector; store one "
             "column per variable"
         )
-    check_count(values.size, source)
+    check_count(values.size)
     with np.errstate(over="ignore", invalid="ignore"):  # extended precision may overflow to infinity (refused later)
         return values.astype(np.float64).reshape(-1)
 
 
-def gunzip(data: bytes, source: str) -> bytes:
+def gunzip(data: bytes) -> bytes:
     """Decompress gzip data piece by piece.
 
     Raises:
@@ -127,21 +121,20 @@ def gunzip(data: bytes, source: str) -> bytes:
         with gzip.GzipFile(fileobj=io.BytesIO(data)) as file:
             while piece := file.read(_PLAIN):
                 total += len(piece)
-                check_unfolded(total, len(data), source)
+                check_unfolded(total, len(data))
                 pieces.append(piece)
     except EOFError:
-        raise BadInput(f"{source}: the gzip data end too early (truncated); copy the file again") from None
+        raise BadInput("the gzip data end too early (truncated); copy the file again") from None
     except (OSError, zlib.error) as error:
-        raise BadInput(f"{source}: damaged gzip data ({error}); copy the file again") from None
+        raise BadInput(f"damaged gzip data ({error}); copy the file again") from None
     return b"".join(pieces)
 
 
-def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
+def inflate(data: bytes, *, size: int, begun: int) -> bytes:
     """Decompress one zlib stream, as an element of a MATLAB file.
 
     Args:
         data: the compressed bytes.
-        source: the file, for messages.
         size: of the whole file, which determines the limit.
         begun: bytes of this file already unpacked.
 
@@ -152,7 +145,7 @@ def inflate(data: bytes, source: str, *, size: int, begun: int) -> bytes:
     engine = zlib.decompressobj()
     # one byte more than allowed, so that an excessive result is never in memory
     whole = engine.decompress(data, most_unfolded(size) + 1)
-    check_unfolded(begun + len(whole), size, source)
+    check_unfolded(begun + len(whole), size)
     if not engine.eof:
         raise zlib.error("truncated")
     return whole
@@ -164,18 +157,15 @@ def check_archive(path: Path) -> None:
     Raises:
         BadInput: with the sizes, or not a zip archive.
     """
-    source = cleaned(path)
     try:
         with zipfile.ZipFile(path) as archive:
             members = archive.infolist()
     except Exception as error:  # zipfile raises almost any error on damaged directories
-        raise BadInput(
-            f"{source}: cannot be read as an archive ({type(error).__name__}); save or copy it again"
-        ) from None
-    check_unfolded(sum(member.file_size for member in members), path.stat().st_size, source)
+        raise BadInput(f"cannot be read as an archive ({type(error).__name__}); save or copy it again") from None
+    check_unfolded(sum(member.file_size for member in members), path.stat().st_size)
 
 
-def guarded(source: str, kind: str, function: Callable, *arguments):
+def guarded(kind: str, function: Callable, *arguments):
     """Call a function that opens a file with a library, and turn any error into one line.
 
     Raises:
@@ -189,7 +179,7 @@ def guarded(source: str, kind: str, function: Callable, *arguments):
         raise
     except ImportError as error:
         extra = {"openpyxl": "excel", "nptdms": "labview"}.get(error.name or "", "robot")
-        raise BadInput(f"{source}: needs the package {error.name}; run `pip install 'pitp_jax[{extra}]'`") from None
+        raise BadInput(f"needs the package {error.name}; run `pip install 'pitp_jax[{extra}]'`") from None
     except Exception as error:
         reason = cleaned(" ".join(str(error).split()) or type(error).__name__)
-        raise BadInput(f"{source}: cannot be read as a {kind} ({reason[:120]}); save or copy it again") from error
+        raise BadInput(f"cannot be read as a {kind} ({reason[:120]}); save or copy it again") from error

@@ -36,10 +36,10 @@ _PAIR = re.compile(r"(?:unit of )?(\w[\w ]*?)\s*(?:\bin\b|[=:/]|[(\[])\s*([^\s\d
 class NoTable(BadInput):
     """Error: a text file does not hold two columns of numbers."""
 
-    def __init__(self, source: str):
+    def __init__(self):
         """Write the message for a file."""
         super().__init__(
-            f"{source}: holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, give "
+            "holds no table of numbers (at least 2 columns and 64 rows); save it as plain CSV, give "
             "--separator and --header-line, or --join the files that hold the other columns"
         )
 
@@ -87,55 +87,50 @@ def is_number(cell: str, decimal: str) -> bool:
     return bool(_NUMBER[decimal].match(cell)) or cell.lower() in _WORDS
 
 
-def layouts(
-    rows: Rows, separator: str, decimal: str, source: str, header_line: int | None, units_line: str | None
-) -> list[Layout]:
+def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, units_line: str | None) -> list[Layout]:
     """Return every possible reading of the rows above the numbers (names, units), the likeliest first.
 
     Args:
         rows: the first rows.
         separator: passed on.
         decimal: `.` or `,`.
-        source: the file, for messages.
         header_line: the line that names the columns, if the user gives it.
         units_line: the line of units, or "none".
 
     Raises:
         BadInput: no row of numbers, no such line, names that do not fit the rows, more columns than reasonable.
     """
-    check_columns(max(map(len, rows.cells), default=0), source)
+    check_columns(max(map(len, rows.cells), default=0))
     # numbers above a header that the user names are settings
     body = [k for k in range(len(rows.cells)) if not rows.commented[k] and rows.numbers[k] > (header_line or 0)]
     width = _width([rows.cells[k] for k in body], decimal)
     full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
     forms = _forms(full[_settings(full) :], width, decimal)
     if sum(form != "text" for form in forms) < 2:
-        raise NoTable(source)
+        raise NoTable()
     first = _first(rows, body, width, forms, decimal)
     if first is None:
-        raise BadInput(f"{source}: no row has a number in every column; correct the first rows")
+        raise BadInput("no row has a number in every column; correct the first rows")
     # empty columns at the right need no name
     filled = [len(trimmed(row)) for row in rows.cells[first:] if len(row) == width]
     widths = range(max(filled, default=width), width + 1)
     bare = Layout(separator, decimal, tuple(Column("", form=form) for form in forms), first, width)
-    units, above = _units_row(rows, first, widths, units_line, source)
+    units, above = _units_row(rows, first, widths, units_line)
     if header_line is not None:
         names = [k for k in range(first) if rows.numbers[k] == header_line]
         if not names:
-            raise BadInput(
-                f"{source}: line {header_line} is empty or not above the numbers; give another --header-line"
-            )
+            raise BadInput(f"line {header_line} is empty or not above the numbers; give another --header-line")
         above = [k for k in above if k == names[0]] or names
     plain_rows = [k for k in above if not rows.commented[k]]
     readings, refusals = [], []
     for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is not a row of names
         try:
-            readings.append(_named(bare, rows, k, units, widths, first, source))
+            readings.append(_named(bare, rows, k, units, widths, first))
         except BadInput as error:
             refusals.append(error)
     if not readings and refusals:
         raise refusals[0]
-    return readings or [_unnamed(bare, rows, units, first, widths, source)]
+    return readings or [_unnamed(bare, rows, units, first, widths)]
 
 
 def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
@@ -199,9 +194,7 @@ def _counts_samples(row: Sequence[str]) -> bool:
     return not row[0] and len(trimmed(row)) > 2 and len(set(filter(None, row))) == 1 and max(row).isdecimal()
 
 
-def _units_row(
-    rows: Rows, first: int, widths: range, units_line: str | None, source: str
-) -> tuple[list[str], list[int]]:
+def _units_row(rows: Rows, first: int, widths: range, units_line: str | None) -> tuple[list[str], list[int]]:
     """Return the units of the columns, and the indices of rows that may hold the column names, the nearest first."""
     fits = [k for k in range(first) if _fits(rows, k, widths)]
     if units_line == "none":
@@ -209,7 +202,7 @@ def _units_row(
     if units_line is not None:
         stated = [k for k in range(first) if rows.numbers[k] == int(units_line)]
         if not stated:
-            raise BadInput(f"{source}: line {units_line} is empty or not above the numbers; give another --units-line")
+            raise BadInput(f"line {units_line} is empty or not above the numbers; give another --units-line")
         return rows.cells[stated[0]], [k for k in fits[::-1] if k != stated[0]]
     named, united = ([k for k in fits if key.fullmatch(rows.cells[k][0])] for key in _KEYS)
     if named and united and _is_units(rows.cells[united[-1]][1:]):
@@ -263,7 +256,7 @@ def _of_unit(cell: str) -> str:
     return re.sub(r"^units?\s*[:=]\s*", "", cell.strip(), flags=re.IGNORECASE)
 
 
-def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int, source: str) -> Layout:
+def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range, first: int) -> Layout:
     """Return the layout in which row k holds the column names."""
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
@@ -276,7 +269,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
         start = next((int(c) for c in counts if c.isdecimal()), -1)
         if any(c != str(start + i) for i, c in enumerate(counts)):
             raise BadInput(
-                f"{source}: line {rows.numbers[k]}: {len(names) - 1} column names, but {widths[0]} cells in the rows "
+                f"line {rows.numbers[k]}: {len(names) - 1} column names, but {widths[0]} cells in the rows "
                 "below; make them agree, or give --header-line"
             )
     names += [""] * (width - len(names))
@@ -295,13 +288,13 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     return replace(named, notes=tuple(notes), hint=hint)
 
 
-def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range, source: str) -> Layout:
+def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range) -> Layout:
     """Return the layout with columns numbered from 1; refuse it if the row above the numbers looks like a header."""
     last = [k for k in range(first) if not rows.commented[k]][-1:]
     if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:
         count = len(trimmed(rows.cells[last[0]]))
         raise BadInput(
-            f"{source}: line {rows.numbers[last[0]]}: {count} names in the header, but {bare.width} cells in the rows "
+            f"line {rows.numbers[last[0]]}: {count} names in the header, but {bare.width} cells in the rows "
             "below; make them agree, or give --header-line"
         )
     names = [str(k + 1) for k in range(bare.width)]

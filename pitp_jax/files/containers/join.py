@@ -22,6 +22,7 @@ from .formats.text import single_column
 from .header import NoTable
 from .names import read_header
 from .options import ReadOptions
+from .refusal import about
 from .table import Column, Parts, Table
 
 
@@ -53,13 +54,14 @@ def _each_clock(table: Table, options: ReadOptions) -> Table:
 
 def _opened(path: Path, options: ReadOptions) -> Parts:
     """Open every part of a file; a file may also hold a single column of numbers."""
-    try:
-        return open_parts(path, replace(options, sheet=None, split_by=None))
-    except NoTable:
-        column = single_column(path)
-        if column is None:
-            raise
-        return [[column]]
+    with about(path):
+        try:
+            return open_parts(path, replace(options, sheet=None, split_by=None))
+        except NoTable:
+            column = single_column(path)
+            if column is None:
+                raise
+            return [[column]]
 
 
 def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
@@ -78,10 +80,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
         return _side_by_side(tables, dropped)
     if any(clock is None for clock in clocks):
         rows = ", ".join(f"{table.path.name} ({size} rows)" for table, size in zip(tables, sizes, strict=True))
-        raise BadInput(
-            f"{tables[0].source}: cannot join {cleaned(rows)}; give files of the same length, or with a time column "
-            "each"
-        )
+        raise BadInput(f"cannot join {cleaned(rows)}; give files of the same length, or with a time column each")
     return _in_turn(tables, [clock for clock in clocks if clock is not None])
 
 

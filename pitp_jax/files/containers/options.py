@@ -19,9 +19,9 @@ from typing import Any
 
 from ...common.errors import BadInput, cleaned
 from ...common.units import TIME_UNITS, spelt, units_of, written
+from .refusal import FOLDER_FILE, about
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
-FOLDER_FILE = "pitp.toml"
 _FINITE = {"factor": "finite number other than 0", "positive": "positive number", "number": "finite number"}
 _RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
 
@@ -192,25 +192,21 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
         BadInput: the file is not TOML, has keys that are not options, or lists joints and the caller names none.
     """
     said = _of_file(path)
-    source, joints = cleaned(path.parent / FOLDER_FILE), joints_of(said.pop("each", {}))
-    if isinstance(said.get("units_line"), int):
-        said["units_line"] = str(said["units_line"])
-    if "join" in said:
-        said["join"] = joined_in(path)
-    # the options of the caller
-    own = {f.name: getattr(options, f.name) for f in fields(options)}
-    if options.joint is not None and options.joint not in joints:
-        raise BadInput(f"{cleaned(path)}: {source} has no joint {options.joint!r}; add it to `each` there")
-    if options.joint is not None:
-        said |= dict(zip(("input_column", "output_column"), joints[options.joint], strict=True))
-    elif joints and not (own["input_column"] or own["output_column"]):
-        raise BadInput(
-            f"{source}: `each` names {', '.join(joints)}; give joint=NAME, or --input-column, --output-column"
-        )
-    try:
+    with about(path.parent / FOLDER_FILE):
+        joints = joints_of(said.pop("each", {}))
+        if isinstance(said.get("units_line"), int):
+            said["units_line"] = str(said["units_line"])
+        if "join" in said:
+            said["join"] = joined_in(path)
+        # the options of the caller
+        own = {f.name: getattr(options, f.name) for f in fields(options)}
+        if options.joint is not None and options.joint not in joints:
+            raise BadInput(f"has no joint {options.joint!r}; add it to `each`")
+        if options.joint is not None:
+            said |= dict(zip(("input_column", "output_column"), joints[options.joint], strict=True))
+        elif joints and not (own["input_column"] or own["output_column"]):
+            raise BadInput(f"`each` names {', '.join(joints)}; give joint=NAME, or --input-column, --output-column")
         return replace(options, **{name: value for name, value in said.items() if own[name] is None})
-    except BadInput as error:
-        raise BadInput(f"{source}: {error}") from None
 
 
 def joined_in(path: Path) -> tuple[str, ...]:
@@ -257,21 +253,20 @@ def _of_file(path: Path) -> dict[str, Any]:
     file = path.parent / FOLDER_FILE
     if not file.is_file():
         return {}
-    source = cleaned(file)
-    try:
-        tables = tomllib.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{source}: cannot be read as TOML ({cleaned(error)[:100]}); correct the file") from None
     known = {option_of(f.name): f.name for f in fields(ReadOptions) if f.name != "joint"} | {"each": "each"}
     said = {}
-    for glob, table in tables.items():
-        if not isinstance(table, dict):
-            raise BadInput(f'{source}: {cleaned(glob)!r} is outside a table; put it below ["GLOB"], such as ["*.csv"]')
-        strange = [cleaned(key) for key in table if key.replace("_", "-") not in known]
-        if strange:
-            keys = ", ".join(sorted(known))
-            raise BadInput(f"{source}: {', '.join(strange)}: unknown key; the keys are {keys}")
-        # later tables take precedence, so that one file can differ from its kind
-        if fnmatch(path.name, glob):
-            said |= {known[key.replace("_", "-")]: value for key, value in table.items()}
+    with about(file):
+        try:
+            tables = tomllib.loads(file.read_text(encoding="utf-8"))
+        except (OSError, ValueError) as error:
+            raise BadInput(f"cannot be read as TOML ({cleaned(error)[:100]}); correct the file") from None
+        for glob, table in tables.items():
+            if not isinstance(table, dict):
+                raise BadInput(f'{cleaned(glob)!r} is outside a table; put it below ["GLOB"], such as ["*.csv"]')
+            strange = [cleaned(key) for key in table if key.replace("_", "-") not in known]
+            if strange:
+                raise BadInput(f"{', '.join(strange)}: unknown key; the keys are {', '.join(sorted(known))}")
+            # later tables take precedence, so that one file can differ from its kind
+            if fnmatch(path.name, glob):
+                said |= {known[key.replace("_", "-")]: value for key, value in table.items()}
     return said

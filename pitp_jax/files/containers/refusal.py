@@ -2,38 +2,41 @@
 
 <file>: <problem> (columns here: ...); try: --option VALUE ...        at most 585 characters
 
-The command line puts its own command before the options, so that the line is the complete command to try.
+Readers say only what is wrong; `about` puts the file in front. The command line puts its own command before the
+options, so that the line is the complete command to try.
 """
 
 import json
 import os
 import shlex
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 from ...common.errors import BadInput, cleaned
 
 LONGEST = 585  # characters of a refusal; with `pitp: error: ` before it 600
 _SHORTEST = 40  # of the problem, however long the remedy is
-_FOLDER_FILE = "pitp.toml"
+FOLDER_FILE = "pitp.toml"
 
 
 class Refused(BadInput):
     """Error: files cannot be read as they are; it holds the options that would solve the problem.
 
     Attributes:
-        source: the file, or the first of several.
         why: the problem, without the file.
         options: words of a command line that solve it, to be added to those given; empty if none does.
         aside: text that may be omitted: the columns of the file.
+        source: the file, or the first of several; empty until `about` adds it.
         named: the files as the message names them.
         alone: whether every file of the call is refused for this reason, so that the options suit the whole call.
     """
 
     def __init__(
-        self, source: str, why: str, options: Sequence[str] = (), aside: str = "", named: str = "", alone: bool = True
+        self, why: str, options: Sequence[str] = (), aside: str = "", source: str = "", named: str = "", alone=True
     ):
         """Write the message; the arguments are the attributes."""
-        self.source, self.why, self.options, self.aside = source, why, tuple(options), aside
+        self.why, self.options, self.aside, self.source = why, tuple(options), aside, source
         # the proposed command holds the whole path
         self.named, self.alone = named or (os.path.basename(source) if options else source), alone
         super().__init__(self.ending(f"; try: {shlex.join(options)}" if options else ""))
@@ -64,7 +67,7 @@ class Refused(BadInput):
         keys = ", ".join(f"{name[2:]} = {json.dumps(value, ensure_ascii=False)}" for name, value in pairs)
         folder, name = os.path.split(self.source)
         pattern = json.dumps("*" if self.alone else name, ensure_ascii=False)
-        file = os.path.join(folder, _FOLDER_FILE)
+        file = os.path.join(folder, FOLDER_FILE)
         return self.ending(f"; write into {file}: {pattern} = {{{keys}}}") if self.options else str(self)
 
 
@@ -78,30 +81,41 @@ def _without(argv: Sequence[str], names: Sequence[str]) -> list[str]:
     return words
 
 
-def together(refusals: Sequence[BadInput], files: int) -> BadInput:
+@contextmanager
+def about(path: Path) -> Iterator[None]:
+    """Put the file in front of a problem that is raised within, unless a file is named there already.
+
+    Raises:
+        Refused: the problem with the file.
+    """
+    source = cleaned(path)
+    try:
+        yield
+    except BadInput as error:
+        one = error if isinstance(error, Refused) else Refused(str(error).removeprefix(f"{source}: "))
+        raise Refused(one.why, one.options, one.aside, one.source or source) from None
+
+
+def together(refusals: Sequence[Refused], files: int) -> Refused:
     """Return one error for all refusals: equal ones once, with the options of the first kind that has some.
 
     Args:
         refusals: of single files.
         files: number of files tried.
     """
-    if len(refusals) == 1 and (files == 1 or not isinstance(refusals[0], Refused)):
+    if len(refusals) == 1 and (files == 1 or not refusals[0].options):
         return refusals[0]
     # files of one kind are refused for one reason, reported once
     kinds: dict[tuple, list[str]] = {}
     for refusal in refusals:
-        source, _, why = str(refusal).partition(": ")
-        if isinstance(refusal, Refused):
-            kinds.setdefault((refusal.why, refusal.options, refusal.aside), []).append(refusal.source)
-        else:
-            kinds.setdefault((why, (), ""), []).append(source)
+        kinds.setdefault((refusal.why, refusal.options, refusal.aside), []).append(refusal.source)
     (why, options, aside), sources = next(((k, s) for k, s in kinds.items() if k[1]), next(iter(kinds.items())))
     several = [f"{os.path.basename(s[0])}{_more(s, 1)}: {k[0]}" for k, s in kinds.items() if s is not sources]
     named = ", ".join(map(os.path.basename, sources[:3])) + _more(sources, 3)
     if len(refusals) > 1:
         named = f"{len(refusals)} of {files} files are refused: {named}"
     alone = len(kinds) == 1 and len(refusals) == files
-    return Refused(sources[0], " | ".join([why, *several]), options, aside if not several else "", named, alone)
+    return Refused(" | ".join([why, *several]), options, aside if not several else "", sources[0], named, alone)
 
 
 def _more(sources: Sequence[str], shown: int) -> str:

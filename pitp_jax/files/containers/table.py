@@ -3,10 +3,9 @@
 columns -> choose the wanted ones -> load(places) = values (T,) of each,    place(i) = words for sample i
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -27,14 +26,12 @@ class Column:
         beside: its unit in the file outside the header (units row, attribute), or None.
         spoken: its unit in a comment; used only if there is no other.
         form: "number", "stamp" (dates and hours, loaded as seconds) or "text".
-        clock: (first time, step) in s of a channel that has its own clock, or None.
     """
 
     name: str
     beside: str | None = None
     spoken: str | None = None
     form: str = "number"
-    clock: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True)
@@ -63,67 +60,67 @@ class Table:
     blanks: int = 0
     texts: Callable[[int], np.ndarray] | None = None
 
-    @property
-    def source(self) -> str:
-        """Return the file's path, cleaned for messages."""
-        return cleaned(self.path)
-
 
 Parts = list[list[Table]]  # of a file: every part, and every table that it may be
 
 
-def array_table(
-    path: Path,
-    stored: Mapping[str, Any],
-    form: str,
-    *,
-    beside: Mapping = MappingProxyType({}),
-    part: str = "",
-    clocks: Mapping = MappingProxyType({}),
-    shapes: Mapping = MappingProxyType({}),
-) -> Table:
-    """Make a table of named arrays.
+@dataclass(frozen=True)
+class Stored:
+    """A named array of a file.
+
+    Attributes:
+        name: as in the file.
+        values: the array, or a function that reads it.
+        unit: beside the data, as stored, or None.
+        shape: of an array that is not read yet.
+    """
+
+    name: str
+    values: Any
+    unit: Any = None
+    shape: Sequence[int] = ()
+
+
+def array_table(path: Path, stored: Iterable[Stored], form: str, part: str = "") -> Table:
+    """Make a table of named arrays; a matrix of samples gives a column for each of its lines, counted from 1.
 
     Args:
         path: the file.
-        stored: arrays, or functions that read one, by name.
+        stored: the arrays.
         form: name of the file format.
-        beside: units beside the data, by name.
         part: the group, if the file is split by groups.
-        clocks: (first time, step) of channels that have their own clock.
-        shapes: of the arrays not read yet; a matrix of samples gives a column for each of its lines, counted from 1.
 
     Raises:
         BadInput: more columns than reasonable.
     """
-    stored = dict(pair for n, v in stored.items() for pair in _lines(n, v, shapes.get(n, getattr(v, "shape", ()))))
-    source, names = cleaned(path), list(stored)
-    check_columns(len(names), source)
-    columns = tuple(Column(cleaned(n), _text(beside.get(n)), clock=clocks.get(n)) for n in names)
+    arrays = [(line, values, one.unit) for one in stored for line, values in _lines(one)]
+    check_columns(len(arrays))
+    columns = tuple(Column(cleaned(name), _text(unit)) for name, _, unit in arrays)
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [guarded(source, form, _loaded, stored[names[k]], columns[k].name, source) for k in places]
+        return [guarded(form, _loaded, arrays[k][1], columns[k].name) for k in places]
 
     return Table(path, columns, load, sample, form, part)
 
 
-def _lines(name: str, values: Any, shape: Sequence[int]) -> list[tuple[str, Any]]:
+def _lines(one: Stored) -> list[tuple[str, Any]]:
     """Return a vector; split a long matrix into `data[1]`, ..., and (time, environment, joint) into `data[1,1]`, ..."""
+    values, shape = one.values, one.shape or getattr(one.values, "shape", ())
     # long in one dimension: an image or a map is long in both
     axis = int(np.argmax(shape)) if len(shape) else 0
     others = [size for k, size in enumerate(shape) if k != axis]
     if not (len(shape) == 2 and 1 < others[0] <= _WIDEST or len(shape) == 3) or not 1 < np.prod(others) < shape[axis]:
-        return [(name, values)]
+        return [(one.name, values)]
 
     def line(place: tuple[int, ...]) -> np.ndarray:
         return np.moveaxis(np.asarray(values() if callable(values) else values), axis, 0)[(slice(None), *place)]
 
     places = list(np.ndindex(*others))
-    return [(f"{name}[{','.join(str(k + 1) for k in place)}]", lambda p=place: line(p)) for place in places]
+    return [(f"{one.name}[{','.join(str(k + 1) for k in place)}]", lambda p=place: line(p)) for place in places]
 
 
-def _loaded(values: Any, column: str, source: str) -> np.ndarray:
-    return as_column(values() if callable(values) else values, column, source)
+def _loaded(values: Any, column: str) -> np.ndarray:
+    return as_column(values() if callable(values) else values, column)
 
 
 def _text(value: Any) -> str | None:

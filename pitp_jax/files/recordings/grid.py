@@ -11,7 +11,6 @@ u_k = 1/b int_{t_k}^{t_k + b} u(s) ds of the held command,    y_k = monotone cub
 A gap longer than a tenth of a period of the fastest input (99 % of its energy lies below) splits the record.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -88,14 +87,11 @@ class _Line:
         return self.start + self.dt * self.index
 
 
-def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], rate: float | None = None) -> Gridded:
+def on_grid(rows: Rows, rate: float | None = None) -> Gridded:
     """Put the rows of a recording on a uniform time grid.
 
     Args:
         rows: with a time that does not decrease.
-        source: file, for messages.
-        column: name of the time column, for messages.
-        place: turns a sample index into words.
         rate: samples per second of the grid, if the user states it.
 
     Raises:
@@ -108,26 +104,26 @@ def on_grid(rows: Rows, source: str, column: str, place: Callable[[int], str], r
             line = replace(line, dt=1 / rate)
         elif rate is None and line.off.max() > _LATE * len(rows.time):
             how = "repeats" if (np.diff(rows.time) == 0).any() else "comes in packets"
-            raise BadInput(f"{source}: column {column!r}: the time {how}; give --rate HZ")
+            raise BadInput(f"the time {how}; give --rate HZ")
     if line is None:
         try:
-            single = _separate(rows, source, column, place)
+            single = _separate(rows)
         except BadInput:
             if rate is None:
                 raise
-            return on_grid(rows.counted_at(rate), source, column, place)
+            return on_grid(rows.counted_at(rate))
         if single is not rows:
-            return on_grid(single, source, column, place, rate)
+            return on_grid(single, rate)
     elif rate is None or abs(line.dt * rate - 1.0) <= TIME_TOLERANCE:
-        return replace(_put(rows, line, source, column), packets=packets)
+        return replace(_put(rows, line), packets=packets)
     elif (np.diff(rows.time) == 0).any():
-        return on_grid(rows.counted_at(rate), source, column, place)
+        return on_grid(rows.counted_at(rate))
     else:
         rows = replace(rows, time=line.time)
-    return replace(_resampled(rows, rate, source, column), packets=packets, uneven=line is None)
+    return replace(_resampled(rows, rate), packets=packets, uneven=line is None)
 
 
-def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str]) -> Rows:
+def _separate(rows: Rows) -> Rows:
     """Return rows with strictly increasing times; rows of equal time are averaged.
 
     Raises:
@@ -135,13 +131,10 @@ def _separate(rows: Rows, source: str, column: str, place: Callable[[int], str])
     """
     single = rows if (np.diff(rows.time) > 0).all() else average_stamps(rows)
     if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
-        at = int(np.argmax(np.diff(rows.time) == 0)) + 1
-        raise BadInput(
-            f"{source}: column {column!r}, {place(at)}: most rows repeat the time of the row before; give --rate HZ"
-        )
+        raise BadInput("most rows repeat the time of the row before; give --rate HZ")
     if evenness(single) > _CONTRADICTED:
         raise BadInput(
-            f"{source}: column {column!r}: the time is not uniform, but input and output are smooth from row to row, "
+            "the time is not uniform, but input and output are smooth from row to row, "
             "as if sampled evenly; give --rate HZ"
         )
     return single
@@ -204,7 +197,7 @@ def _packets(rows: Rows) -> _Line | None:
     return line if line.off.max() <= period / line.dt + 1 else None
 
 
-def _put(rows: Rows, line: _Line, source: str, column: str) -> Gridded:
+def _put(rows: Rows, line: _Line) -> Gridded:
     """Put rows on a fitted grid, split where too many samples in a row were lost."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, line.index
     lost, jitter = np.diff(index) - 1, float(line.off.max())
@@ -212,18 +205,17 @@ def _put(rows: Rows, line: _Line, source: str, column: str) -> Gridded:
         return Gridded((Piece(time, voltage, displacement),), jitter, rows)
     # the input in a longer gap cannot be interpolated
     cuts = np.flatnonzero(lost > _longest_gap(voltage, index, line.dt)) + 1
-    parts, dropped = _parts(rows, cuts, source, column)
+    parts, dropped = _parts(rows, cuts)
     pieces = [_piece(time[p], voltage[p], displacement[p], index[p], line, jitter) for p in parts]
     return Gridded(tuple(pieces), jitter, rows, dropped)
 
 
-def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0.0) -> tuple[list[slice], int]:
+def _parts(rows: Rows, cuts: np.ndarray, dt: float = 0.0) -> tuple[list[slice], int]:
     """Return the stretches between the cuts that are long enough to use, and the number of rows outside them.
 
     Args:
         rows: of the record.
         cuts: places of the first rows of stretches.
-        source, column: for messages.
         dt: step of the grid in s: a stretch needs 64 rows and 64 such steps.
 
     Raises:
@@ -238,7 +230,7 @@ def _parts(rows: Rows, cuts: np.ndarray, source: str, column: str, dt: float = 0
     dropped = count - sum(part.stop - part.start for part in kept)
     if 2 * dropped > count or not kept:
         raise BadInput(
-            f"{source}: column {column!r}: {len(cuts)} gaps leave less than half of the rows in pieces of at least "
+            f"{len(cuts)} gaps leave less than half of the rows in pieces of at least "
             f"{MIN_SAMPLES} samples; record without gaps"
         )
     return kept, dropped
@@ -284,7 +276,7 @@ def _piece(time, voltage, displacement, index, line: _Line, jitter) -> Piece:
     return Piece(grid, drive, output, lost)
 
 
-def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Gridded:
+def _resampled(rows: Rows, rate: float | None) -> Gridded:
     """Resample rows at their median time step or at `rate` (Hz), split at gaps in which the input is unknown."""
     time, voltage = rows.time, rows.voltage
     steps = np.diff(time)
@@ -295,12 +287,12 @@ def _resampled(rows: Rows, rate: float | None, source: str, column: str) -> Grid
     # an input that is constant before and after a gap was held during it
     still = np.append(True, np.diff(voltage) == 0)
     held = still[:-1] & still[1:] & np.append(still[2:], True)
-    parts, dropped = _parts(rows, np.flatnonzero((steps > longest) & ~held) + 1, source, column, dt)
+    parts, dropped = _parts(rows, np.flatnonzero((steps > longest) & ~held) + 1, dt)
     made = [_interpolated(time[p], voltage[p], rows.displacement[p], dt, FEW * usual) for p in parts]
     ends, bridged = (float(steps.min()), float(steps.max())), sum(count for _, count in made)
     if 2 * bridged > sum(len(piece.time) for piece, _ in made):
         raise BadInput(
-            f"{source}: column {column!r}: steps of {ends[0]:.3g} to {ends[1]:.3g} s are too irregular to resample; "
+            f"steps of {ends[0]:.3g} to {ends[1]:.3g} s are too irregular to resample; "
             "give --rate HZ if the rows were sampled evenly"
         )
     return Gridded(tuple(piece for piece, _ in made), 0.0, rows, dropped, steps=ends, bridged=bridged)

@@ -22,14 +22,13 @@ _FEW = 3  # values of an output that only flickers
 _MONITOR = 10.0  # V: the range of a DAQ
 
 
-def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, source: str, columns, place) -> None:
+def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, columns, place) -> None:
     """Refuse inputs and outputs too large for any rig: 100 kV, 1 km.
 
     Args:
         voltage: in its base unit, shape (T,).
         displacement: in its base unit, shape (T,); nan where missing.
         units: base units of both; only volts and metres have a limit.
-        source: file, for the message.
         columns: headers of input and output.
         place: turns a sample index into words.
 
@@ -47,7 +46,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, sou
                 f"--{stem}-unit or --{stem}-scale"
             )
     if problems:
-        raise BadInput(f"{source}: {'; '.join(problems)}")
+        raise BadInput("; ".join(problems))
 
 
 def questions(voltage: np.ndarray, displacement: np.ndarray, unit: str) -> list[str]:

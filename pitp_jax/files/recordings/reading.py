@@ -24,9 +24,8 @@ from ...method.signal.sets import RATE_TOLERANCE, check_set
 from ...method.signal.target import Target
 from ..containers.columns import Loaded, load_columns
 from ..containers.formats import SUFFIXES, is_bag, split_suffix, unread
-from ..containers.options import FOLDER_FILE as FOLDER_FILE
 from ..containers.options import OPTIONS, ReadOptions, joined_in
-from ..containers.refusal import Refused, together
+from ..containers.refusal import Refused, about, together
 from .grid import Gridded, on_grid
 from .outliers import Masked, mask_faults
 from .plausible import questions, refuse_implausible
@@ -108,7 +107,7 @@ def options_of(said: Mapping[str, Any]) -> ReadOptions:
 
 def attempted(
     paths: Sequence[str | os.PathLike], options: ReadOptions, quantities: Sequence[str], make: Callable[..., Sequence]
-) -> tuple[list, dict[str, BadInput], int]:
+) -> tuple[list, dict[str, Refused], int]:
     """Apply `make(path, label, columns)` to every part of every file; return results, refusals and number of files.
 
     Args:
@@ -120,13 +119,14 @@ def attempted(
     # names first, because a record's label depends on all the others
     files = _without_joined(files_of(paths), options)
     made: list = []
-    refused: dict[str, BadInput] = {}
+    refused: dict[str, Refused] = {}
     for file, name in zip(files, names_of(files), strict=True):
         try:
-            parts = load_columns(file, options, quantities)
-            labels = [f"{name}.{cleaned(one.label)}" if one.label else name for one in parts]
-            made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
-        except BadInput as error:
+            with about(file):
+                parts = load_columns(file, options, quantities)
+                labels = [f"{name}.{cleaned(one.label)}" if one.label else name for one in parts]
+                made += [piece for label, one in zip(labels, parts, strict=True) for piece in make(file, label, one)]
+        except Refused as error:
             refused[name] = error
     return made, refused, len(files)
 
@@ -137,7 +137,7 @@ def _without_joined(files: list[Path], options: ReadOptions) -> list[Path]:
     return [file for file in files if os.path.realpath(file) not in joined] or files
 
 
-def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, BadInput], int]:
+def _attempted(paths, options: ReadOptions) -> tuple[list[Record], dict[str, Refused], int]:
     """Read files; return records, refusals by name, and number of files. Uneven clocks are resampled at one rate."""
     sources: list[tuple[Path, str, Loaded]] = []
 
@@ -195,20 +195,22 @@ def read_target(path: str | os.PathLike, output_column: str | None = None, **sai
         >>> pitp.read_target(folder / "target.csv").displacement_unit
         'mm'
     """
-    path = _existing(path)
-    if path.is_dir():
-        raise BadInput(f"{cleaned(path)}: is a folder; give one target file")
+    path, source = _existing(path), cleaned(path)
     options = options_of({**said, "output_column": output_column})
-    loaded = load_columns(path, options, ("time", "displacement"))
-    if len(loaded) > 1:
-        raise BadInput(f"{cleaned(path)}: holds {len(loaded)} recordings; give one target file")
-    one = select_range(loaded[0])
-    time, wanted, source = one.values["time"], one.values["displacement"], one.table.source
-    columns = one.chosen["time"].name, one.chosen["displacement"].name
-    _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
-    # a target has no voltage: zeros replace it
-    check_samples(time, np.zeros_like(time), wanted, source, (columns[0], "voltage", columns[1]), one.place, least=2)
-    check_wanted(time, wanted, source, columns, one.place)
+    with about(path):
+        if path.is_dir():
+            raise BadInput("is a folder; give one target file")
+        loaded = load_columns(path, options, ("time", "displacement"))
+        if len(loaded) > 1:
+            raise BadInput(f"holds {len(loaded)} recordings; give one target file")
+        one = select_range(loaded[0])
+        time, wanted = one.values["time"], one.values["displacement"]
+        columns = one.chosen["time"].name, one.chosen["displacement"].name
+        _, wanted, _ = unwrap(np.zeros_like(time), wanted, ("V", base_unit(one.unit("displacement"))))
+        # a target has no voltage: zeros replace it
+        named = columns[0], "voltage", columns[1]
+        check_samples(time, np.zeros_like(time), wanted, source, named, one.place, least=2)
+        check_wanted(time, wanted, source, columns, one.place)
     return Target(time, wanted, one.unit("displacement"), os.fspath(path))
 
 
@@ -317,7 +319,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     Raises:
         BadInput: unusable samples, impossible values, time that decreases or repeats.
     """
-    time, voltage, source = one.values["time"], one.values["voltage"], one.table.source
+    time, voltage, source = one.values["time"], one.values["voltage"], cleaned(one.table.path)
     output = one.values.get("displacement")
     displacement = np.zeros(len(time)) if output is None else output
     names = {q: choice.name for q, choice in one.chosen.items()}
@@ -325,22 +327,20 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
     least = MIN_SAMPLES if output is not None else 2
     check_samples(time, voltage, displacement, source, columns, one.place, uniform=False, least=least)
     units = base_unit(one.unit("voltage")), "m" if output is None else base_unit(one.unit("displacement"))
-    refuse_implausible(voltage, displacement, units, source, columns[1:], one.place)
+    refuse_implausible(voltage, displacement, units, columns[1:], one.place)
     turns = 0, 0
     if output is not None:
         voltage, displacement, turns = unwrap(voltage, displacement, units)
     rate = one.options.rate if rate is None else rate
+    rows = usable_rows(time, voltage, displacement, source, columns[0], one.place, rate)
     try:
-        rows = usable_rows(time, voltage, displacement, source, columns[0], one.place, rate)
         # before the grid, because interpolation would spread a spike
         masked = mask_faults(rows.displacement, rows.voltage) if output is not None else Masked(rows.displacement)
         masked = replace(masked, turns=turns)
-        return masked, on_grid(replace(rows, displacement=masked.displacement), source, columns[0], one.place, rate)
+        return masked, on_grid(replace(rows, displacement=masked.displacement), rate)
     except BadInput as error:
-        if rate is None and "--rate" in str(error):
-            why = str(error).removeprefix(f"{source}: ")
-            raise Refused(source, why, ["--rate", "RATE"]) from None
-        raise
+        remedy = ["--rate", "RATE"] if rate is None and "--rate" in str(error) else []
+        raise Refused(f"column {columns[0]!r}: {error}", remedy) from None
 
 
 def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> list[Record]:

@@ -39,7 +39,7 @@ def select_range(one: Loaded) -> Loaded:
     words = f"{first or 0.0:.6g} s to {'its end' if last is None else f'{last:.6g} s'}"
     if not len(inside):
         raise BadInput(
-            f"{one.table.source}: no row from {words}, because its rows last {np.nanmax(time):.6g} s; give --from and "
+            f"no row from {words}, because its rows last {np.nanmax(time):.6g} s; give --from and "
             "--to in seconds after its first row"
         )
     clock = one.chosen["time"]

@@ -15,7 +15,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ....common.errors import BadInput, cleaned
+from ....common.errors import BadInput
 from ..guard import file_bytes, guarded
 from ..options import ReadOptions
 from ..table import Parts
@@ -62,12 +62,12 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     Raises:
         BadInput: unknown suffix, or the file is not what its suffix says.
     """
-    source, suffix = cleaned(path), ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
+    suffix = ".mcap" if is_bag(path) else split_suffix(path.name)[1].lower()
     if not suffix:
-        raise BadInput(f"{source}: {unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
+        raise BadInput(f"{unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
     readers = [reader for reader in READERS if suffix in reader.suffixes]
     first = [file_bytes(file, _FIRST) for file in (path.iterdir() if path.is_dir() else [path])][0]
     reader = next((reader for reader in readers if first.startswith(reader.begins)), None)
     if reader is None:
-        raise BadInput(f"{source}: is not {readers[0].kind} as its suffix says; {readers[0].remedy}")
-    return guarded(source, reader.kind.partition(" ")[2], reader.tables, path, options)
+        raise BadInput(f"is not {readers[0].kind} as its suffix says; {readers[0].remedy}")
+    return guarded(reader.kind.partition(" ")[2], reader.tables, path, options)

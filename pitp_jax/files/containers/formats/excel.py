@@ -31,7 +31,7 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     try:
         titles = [cleaned(sheet.title) for sheet in book.worksheets]
         if options.sheet is not None and options.sheet not in titles:
-            raise BadInput(f"{cleaned(path)}: has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
+            raise BadInput(f"has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
         for sheet in book.worksheets:
             if options.sheet in (None, cleaned(sheet.title)):
                 # the size that a sheet states is often wrong
@@ -44,14 +44,14 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     finally:
         book.close()
     if not parts:
-        raise refusals[0] if refusals else BadInput(f"{cleaned(path)}: has no sheet; save it as CSV")
+        raise refusals[0] if refusals else BadInput("has no sheet; save it as CSV")
     return parts
 
 
 def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadOptions) -> list[Table]:
     """Return every way to read the numbered rows of one sheet as a table."""
-    source, filled = cleaned(path), [(k, row) for k, row in rows if any(cell is not None for cell in row)]
-    check_columns(max((len(row) for _, row in filled), default=0), source)
+    filled = [(k, row) for k, row in rows if any(cell is not None for cell in row)]
+    check_columns(max((len(row) for _, row in filled), default=0))
     width = max((len(row) for _, row in filled[:_HEAD]), default=0)
     last = [cell for _, row in filled[-_HEAD:] for cell in row if cell is not None]
     # most numbers are stored as texts with a decimal comma
@@ -60,7 +60,7 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
     cells = {k: [_shown(cell, decimal) for cell in (*row, *[None] * width)[:width]] for k, row in rows}
     numbers = [k for k, _ in filled[:_HEAD]]
     head = Rows([cells[k] for k in numbers], numbers, [False] * len(numbers))
-    made = layouts(head, "\t", decimal, source, options.header_line, options.units_line)
+    made = layouts(head, "\t", decimal, options.header_line, options.units_line)
     body = [k for k in cells if numbers[made[0].first] <= k <= filled[-1][0]]
 
     def place(sample: int) -> str:
@@ -70,7 +70,7 @@ def _sheet(path: Path, rows: list[tuple[int, tuple]], title: str, options: ReadO
         return np.array([cells[row][k] for row in body])
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [numbers_of(texts(k).tolist(), made[0], k, source, place) for k in places]
+        return [numbers_of(texts(k).tolist(), made[0], k, place) for k in places]
 
     return [
         Table(

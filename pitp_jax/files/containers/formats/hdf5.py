@@ -10,7 +10,7 @@ import numpy as np
 from ....common.errors import BadInput, cleaned
 from ..guard import check_columns, check_unfolded
 from ..options import ReadOptions
-from ..table import Parts, array_table
+from ..table import Parts, Stored, array_table
 
 kind, remedy = "an HDF5 file", "save it again"
 suffixes = (".h5", ".hdf5")
@@ -20,65 +20,62 @@ _DEEPEST = 2  # groups below one of the root that are opened; a hard link may fo
 
 def tables(path: Path, options: ReadOptions, form: str = "HDF5 file") -> Parts:
     """Return the datasets of an HDF5 file, at the root and in groups; only hard links are followed."""
-    source = cleaned(path)
     with h5py.File(path, "r") as file:
-        groups = _datasets(file, source)
+        groups = _datasets(file)
         known = {where: _about(file[where]) for places in groups.values() for where in places}
         kinds = {where: _class_of(file[where]) for where in known}
     unread = [where for where, kind in kinds.items() if "." in kind or kind in ("timeseries", "timetable", "table")]
     signals = [w for w, k in kinds.items() if w not in unread and np.prod(known[w][1], dtype=float) > 1]
     if unread and len(signals) < 2:
         unread.sort(key=lambda where: "Dataset" not in kinds[where])
-        raise BadInput(f"{source}: {objects(unread, kinds[unread[0]])}")
+        raise BadInput(objects(unread, kinds[unread[0]]))
     split = options.split_by == "group" and len(groups) > 1
     parts = [{n: p} for n, p in groups.items()] if split else [groups]
     made = []
     for chosen in parts:
         full = len(chosen) > 1
         names = {where if full else where.rpartition("/")[2]: where for places in chosen.values() for where in places}
-        stored, beside, shapes = {}, {}, {}
+        stored = []
         for name, where in names.items():
-            beside[name], shapes[name], fields = known[where]
-            if fields:  # a table of PyTables or pandas: its fields are the columns
-                stored |= {f: (lambda where=where, f=f: _dataset(path, where, source)[f]) for f in fields}
-            else:
-                stored[name] = lambda where=where: _dataset(path, where, source)
-        part = next(iter(chosen), "") if split else ""
-        made.append([array_table(path, stored, form, beside=beside, shapes=shapes, part=part)])
+            unit, shape, fields = known[where]
+            # a table of PyTables or pandas: its fields are the columns
+            stored += [Stored(f, lambda where=where, f=f: _dataset(path, where)[f]) for f in fields]
+            if not fields:
+                stored.append(Stored(name, lambda where=where: _dataset(path, where), unit, shape))
+        made.append([array_table(path, stored, form, next(iter(chosen), "") if split else "")])
     return made
 
 
-def _datasets(group: Any, source: str, above: str = "") -> dict[str, list[str]]:
+def _datasets(group: Any, above: str = "") -> dict[str, list[str]]:
     """Return the paths of all datasets in a group and its subgroups, by group."""
-    check_columns(len(group), source)
+    check_columns(len(group))
     # by group, so that the same names in two groups stay apart
     groups: dict[str, list[str]] = {above: []}
     for name in group:
         if not above and name.startswith("#"):  # MATLAB's internal data
             continue
-        kind, place = _kind(group, name, source), f"{above}/{name}".lstrip("/")
+        kind, place = _kind(group, name), f"{above}/{name}".lstrip("/")
         if kind is h5py.Dataset:
             groups[above].append(place)
         elif kind is h5py.Group and above.count("/") < _DEEPEST:
-            groups |= _datasets(group[name], source, place)
+            groups |= _datasets(group[name], place)
         # checked while walking, to stop at a hostile tree
-        check_columns(sum(map(len, groups.values())), source)
+        check_columns(sum(map(len, groups.values())))
     return {name: places for name, places in groups.items() if places}
 
 
-def _kind(group: Any, name: str, source: str):
+def _kind(group: Any, name: str):
     """Return the class (Dataset or Group) behind a hard link; refuse a link that leads elsewhere."""
     link = group.get(name, getlink=True)
     if not isinstance(link, h5py.HardLink):
         raise BadInput(
-            f"{source}: {cleaned(name)!r} is a link to {cleaned(getattr(link, 'filename', 'another place'))}, which "
+            f"{cleaned(name)!r} is a link to {cleaned(getattr(link, 'filename', 'another place'))}, which "
             "is not followed; store the data in this file"
         )
     kind = group.get(name, getclass=True)
     if kind is h5py.Dataset and (group[name].external or group[name].is_virtual):
         raise BadInput(
-            f"{source}: {cleaned(name)!r} keeps its data in another file, which is not read; store the data in this "
-            "file"
+            f"{cleaned(name)!r} keeps its data in another file, which is not read; store the data in this file"
         )
     return kind
 
@@ -95,7 +92,7 @@ def _about(dataset: Any) -> tuple[Any, tuple[int, ...], tuple[str, ...]]:
     return unit, dataset.shape or (), dataset.dtype.names or ()
 
 
-def _dataset(path: Path, where: str, source: str) -> np.ndarray:
+def _dataset(path: Path, where: str) -> np.ndarray:
     """Load a dataset; MATLAB v7.3's text and cells become an empty array, because they hold no numbers."""
     with h5py.File(path, "r") as file:
         dataset: Any = file[where]
@@ -106,7 +103,7 @@ def _dataset(path: Path, where: str, source: str) -> np.ndarray:
             return np.empty(0, dtype=object)
         if dataset.attrs.get("MATLAB_empty", 0) or dataset.shape is None:
             return np.empty(0)
-        check_unfolded(dataset.size * dataset.dtype.itemsize, path.stat().st_size, source)
+        check_unfolded(dataset.size * dataset.dtype.itemsize, path.stat().st_size)
         return dataset[()]
 
 

@@ -14,12 +14,12 @@ import h5py
 import numpy as np
 import scipy
 
-from ....common.errors import BadInput, cleaned
+from ....common.errors import BadInput
 from ....common.units import kind_of, spelt
 from ..guard import file_bytes, inflate
 from ..names import read_header
 from ..options import ReadOptions
-from ..table import Parts, Table, array_table
+from ..table import Parts, Stored, Table, array_table
 from . import hdf5
 
 kind, remedy = "a MATLAB file", "save it from MATLAB with -v7 or -v7.3"
@@ -33,15 +33,14 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     """Return the variables of a MATLAB file, and the fields of its structs that hold vectors."""
     if h5py.is_hdf5(path):
         return hdf5.tables(path, options, "MATLAB file v7.3")
-    source = cleaned(path)
-    stored = {n: v for n, v in scipy.io.loadmat(_flat(file_bytes(path), source)).items() if not n.startswith("__")}
+    stored = {n: v for n, v in scipy.io.loadmat(_flat(file_bytes(path))).items() if not n.startswith("__")}
     # MathWorks does not publish how tables, strings and datetimes are stored
     objects = [n for n, v in stored.items() if type(v).__name__ == "MatlabOpaque"]
     plain = {n: v for n, v in stored.items() if not v.dtype.names and n not in objects}
     groups = {n: dict(_fields(v)) for n, v in stored.items() if v.dtype.names and n not in objects}
     groups = {n: fields for n, fields in groups.items() if _vectors(fields)}
     if objects and not groups and not _vectors(plain):
-        raise BadInput(f"{source}: {hdf5.objects(objects)}")
+        raise BadInput(hdf5.objects(objects))
     if options.split_by == "group" and groups:
         return [[_variables(path, fields, ", fields of a struct", n)] for n, fields in groups.items()]
     # one struct is the recording; with several, the struct's name is part of the column's
@@ -84,7 +83,7 @@ def _variables(path: Path, variables: dict[str, np.ndarray], more: str, part: st
     names = _vectors(variables)
     fits = len(said) == len(names) and all(_fitting(n, unit) for n, unit in zip(names, said, strict=True))
     beside = dict(zip(names, said, strict=True)) if fits else {}
-    return array_table(path, variables, f"MATLAB file{more}", beside=beside, part=part)
+    return array_table(path, [Stored(n, v, beside.get(n)) for n, v in variables.items()], f"MATLAB file{more}", part)
 
 
 def _fitting(name: str, unit: str) -> bool:
@@ -93,12 +92,11 @@ def _fitting(name: str, unit: str) -> bool:
     return role is None or kind is None or (role == "time") == (kind == "time")
 
 
-def _flat(data: bytes, source: str) -> io.BytesIO:
+def _flat(data: bytes) -> io.BytesIO:
     """Decompress all elements of a MATLAB file; refuse variables nested deeper than a struct of vectors.
 
     Args:
         data: the whole file.
-        source: its name, for messages.
 
     Raises:
         BadInput: truncated, damaged, nested too deeply, or too large when unpacked.
@@ -109,27 +107,25 @@ def _flat(data: bytes, source: str) -> io.BytesIO:
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if size > len(data) - at - 8:
-            raise BadInput(f"{source}: the MATLAB file ends too early (truncated); copy the file again")
+            raise BadInput("the MATLAB file ends too early (truncated); copy the file again")
         element = data[at : at + 8 + size]
         at += 8 + size
         if kind == _COMPRESSED:
             try:
-                element = inflate(element[8:], source, size=len(data), begun=unfolded)
+                element = inflate(element[8:], size=len(data), begun=unfolded)
             except zlib.error as error:
-                raise BadInput(f"{source}: damaged MATLAB file ({error}); copy the file again") from None
+                raise BadInput(f"damaged MATLAB file ({error}); copy the file again") from None
             unfolded += len(element)
-        _check_nesting(memoryview(element), order, source, budget)
+        _check_nesting(memoryview(element), order, budget)
         pieces.append(element)
     return io.BytesIO(b"".join(pieces))
 
 
-def _check_nesting(element: memoryview, order: str, source: str, budget: list[int], depth: int = 0) -> None:
+def _check_nesting(element: memoryview, order: str, budget: list[int], depth: int = 0) -> None:
     """Refuse deeply nested cells and structs, because SciPy's reader calls itself for each level."""
     budget[0] -= 1
     if depth > _DEEPEST or budget[0] < 0:
-        raise BadInput(
-            f"{source}: its variables are nested too deeply or have too many parts; store one vector per variable"
-        )
+        raise BadInput("its variables are nested too deeply or have too many parts; store one vector per variable")
     if len(element) < 24 or struct.unpack_from(f"{order}I", element)[0] != _MATRIX:
         return
     if struct.unpack_from(f"{order}I", element, 16)[0] & 0xFF not in _CONTAINERS:
@@ -141,6 +137,6 @@ def _check_nesting(element: memoryview, order: str, source: str, budget: list[in
             at += 8
             continue
         if kind == _MATRIX:
-            _check_nesting(element[at : at + 8 + size], order, source, budget, depth + 1)
+            _check_nesting(element[at : at + 8 + size], order, budget, depth + 1)
         # elements are padded to eight bytes
         at += 8 + size + (-size) % 8

@@ -43,7 +43,7 @@ def tables(path: Path, options: ReadOptions) -> Parts:
         connections = [c for c in reader.connections if _wanted(c.topic, options)]
         for connection, logged, raw in reader.messages(connections) if connections else ():
             unfolded += len(raw)
-            check_unfolded(unfolded, size, cleaned(path))
+            check_unfolded(unfolded, size)
             message: Any = reader.deserialize(raw, connection.msgtype)
             values = dict(_numbers(message, connection.topic))
             rows.setdefault(connection.topic, []).append((1e-9 * logged, _stamp(message), values))
@@ -86,7 +86,7 @@ def _topics(path: Path, rows: dict[str, list[tuple[float, float, dict[str, float
     clocks = {topic: np.array([row[0 if unset else 1] for row in each]) for topic, each in rows.items()}
     values = {topic: pd.DataFrame([row[2] for row in each]) for topic, each in rows.items()}
     places = [("", ""), *((topic, name) for topic, frame in values.items() for name in frame)]
-    check_columns(len(places), cleaned(path))
+    check_columns(len(places))
     clock = f"log time ({cleaned(unset[0])} has no header.stamp)" if unset else "header.stamp"
     units = [next((unit for pattern, unit in _UNITS if re.search(pattern, name)), None) for _, name in places[1:]]
     columns = [Column(clock.partition(" (")[0], "s")]

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..guard import check_archive
 from ..options import ReadOptions
-from ..table import Parts, array_table
+from ..table import Parts, Stored, array_table
 
 kind, remedy = "a NumPy archive", "save it with numpy.savez"
 suffixes = (".npz",)
@@ -21,7 +21,7 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
-        stored = {name.removesuffix(".npy"): _npy(archive, name) for name in members}
+        stored = [Stored(name.removesuffix(".npy"), _npy(archive, name)) for name in members]
     return [[array_table(path, stored, "NumPy archive")]]
 
 

@@ -7,10 +7,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ....common.errors import cleaned
 from ..guard import check_count, check_unfolded
 from ..options import ReadOptions
-from ..table import Parts, array_table
+from ..table import Parts, Stored, array_table
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -28,26 +27,25 @@ def tables(path: Path, options: ReadOptions) -> Parts:
 
     with pyarrow.parquet.ParquetFile(path) as file:
         schema, about = file.schema_arrow, file.metadata
-    check_count(about.num_rows, cleaned(path))
+    check_count(about.num_rows)
     # the footer states the decompressed size of the columns
     unfolded = sum(about.row_group(k).total_byte_size for k in range(about.num_row_groups))
-    check_unfolded(unfolded, path.stat().st_size, cleaned(path))
+    check_unfolded(unfolded, path.stat().st_size)
 
     def column(name: str):
         return pd.Series(pd.read_parquet(path, columns=[name])[name])
 
     beside = {f.name: (f.metadata or {}).get(b"unit") for f in schema}
     beside |= {f.name: b"s" for f in schema if str(f.type).startswith(("timestamp", "duration"))}
-    stored, origin = {}, []
+    stored, origin = [], []
     for field in schema:
         count = _entries(field, column)
         for k in range(max(count, 1)):
             name = f"{field.name}[{k + 1}]" if count else field.name
             entry = k if count else None
-            stored[name] = lambda of=field.name, entry=entry: _plain(column(of), entry)
-            beside[name] = beside[field.name]
+            stored.append(Stored(name, lambda f=field.name, k=entry: _plain(column(f), k), beside[field.name]))
             origin.append(field.name)
-    table = array_table(path, stored, "Parquet file", beside=beside)
+    table = array_table(path, stored, "Parquet file")
     return [[replace(table, texts=lambda k: column(origin[k]).astype(str).to_numpy())]]
 
 

@@ -15,7 +15,7 @@ _LABVIEW, _END = "labview measurement", "***end_of_header***"
 _NUMBER = re.compile(r"[\d.,-]+")
 
 
-def labview(lines: Sequence[str], source: str) -> Layout | None:
+def labview(lines: Sequence[str]) -> Layout | None:
     """Return the layout of a LabVIEW measurement file (.lvm); None for any other text.
 
     Raises:
@@ -30,7 +30,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     # one header for the file and one for every segment: names follow the last
     first = 1 + max((k for k, row in enumerate(rows) if row[0].lower() == _END), default=len(rows))
     if len(rows) <= first + 1:
-        raise BadInput(f"{source}: a LabVIEW file without a table below its header; write it again")
+        raise BadInput("a LabVIEW file without a table below its header; write it again")
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
     if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names omitted
         names = ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
@@ -47,7 +47,7 @@ def labview(lines: Sequence[str], source: str) -> Layout | None:
     return Layout(separator, decimal or ".", tuple(columns), first, width, ("LabVIEW measurement",), step)
 
 
-def twincat(lines: Sequence[str], source: str) -> Layout | None:
+def twincat(lines: Sequence[str]) -> Layout | None:
     """Return the layout of a TwinCAT Scope export (`key value key value`, `clock value clock value`), or None."""
     rows = [[cell.strip() for cell in line.split("\t")] for line in lines]
     keyed = {row[0].lower(): row for row in rows if len(row) > 1 and len(set(row[0::2])) == 1 and not row[0].isdigit()}
@@ -64,4 +64,4 @@ def twincat(lines: Sequence[str], source: str) -> Layout | None:
     return Layout("\t", ".", tuple(columns), first, len(columns), ("TwinCAT Scope",))
 
 
-SIGNATURES: tuple[Callable[[Sequence[str], str], Layout | None], ...] = (labview, twincat)
+SIGNATURES: tuple[Callable[[Sequence[str]], Layout | None], ...] = (labview, twincat)

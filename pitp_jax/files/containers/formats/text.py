@@ -57,17 +57,16 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     Raises:
         BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
     """
-    source = cleaned(path)
-    data = plain_text(path, source)
-    spans = _first_lines(data, source)
+    data = plain_text(path)
+    spans = _first_lines(data)
     candidates, refusals = [], []
-    for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options, source):
+    for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options):
         lines = [data[a:b].decode(encoding) for a, b, _ in spans]
         try:
-            for layout in _layouts(lines, [n for _, _, n in spans], options, source):
+            for layout in _layouts(lines, [n for _, _, n in spans], options):
                 body = _rows_only(data[spans[layout.first][0] :], layout)
                 if options.decimal is None:
-                    layout = _with_decimal(body, layout, source)
+                    layout = _with_decimal(body, layout)
                 candidates.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
         except BadInput as error:
             refusals.append(error)
@@ -78,9 +77,8 @@ def tables(path: Path, options: ReadOptions) -> Parts:
 
 def single_column(path: Path) -> Table | None:
     """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
-    source = cleaned(path)
     try:
-        lines = [line.strip().strip('"') for line in plain_text(path, source).decode("utf-8").split("\n")]
+        lines = [line.strip().strip('"') for line in plain_text(path).decode("utf-8").split("\n")]
     except (BadInput, UnicodeError):
         return None
     numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
@@ -99,7 +97,7 @@ def single_column(path: Path) -> Table | None:
     return Table(path, (Column(cleaned(name)),), lambda places: [values for _ in places], place, "text of one column")
 
 
-def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
+def _with_decimal(body: bytes, layout: Layout) -> Layout:
     """Return the layout with the decimal mark that the rows of numbers show.
 
     Raises:
@@ -112,7 +110,6 @@ def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
         return replace(layout, decimal=",") if comma else layout
     if not _DECIMAL.search(body):
         raise Refused(
-            source,
             "every comma has three digits after it, so it may be a decimal or a thousands separator",
             ["--decimal", ","],
         )
@@ -120,15 +117,15 @@ def _with_decimal(body: bytes, layout: Layout, source: str) -> Layout:
 
 
 def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, encoding: str) -> Table:
-    source, above = cleaned(path), data[:start].count(b"\n")
-    check_count(body.count(b"\n"), source)
+    above = data[:start].count(b"\n")
+    check_count(body.count(b"\n"))
 
     def place(sample: int) -> str:
         return f"sample {sample} (line {_line_of(path, sample, above)})"
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
         values = _parse(body, layout, places, encoding)
-        return values if values is not None else _rows(body, layout, places, encoding, source, place)
+        return values if values is not None else _rows(body, layout, places, encoding, place)
 
     def texts(k: int) -> np.ndarray:
         return np.array([row[k] if k < len(row) else "" for row in _split(body, layout, encoding)])
@@ -143,17 +140,17 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
 
 
-def plain_text(path: Path, source: str) -> bytes:
+def plain_text(path: Path) -> bytes:
     """Read a text file: decompressed, with plain line ends, UTF-16 converted to UTF-8."""
     data, wide = file_bytes(path), None
     # by its first bytes, because downloads lose or gain suffixes
     zipped = data.startswith(b"\x1f\x8b")
     if path.name.lower().endswith(".gz"):
         if not zipped:
-            raise BadInput(f"{source}: is not a gzip file although its name ends in .gz; rename it if it is plain text")
-        data = gunzip(data, source)
+            raise BadInput("is not a gzip file although its name ends in .gz; rename it if it is plain text")
+        data = gunzip(data)
     elif zipped:
-        raise BadInput(f"{source}: is a gzip file although its suffix is one of text; rename it to end in .gz")
+        raise BadInput("is a gzip file although its suffix is one of text; rename it to end in .gz")
     for order, half in (("utf-16-le", data[1:400:2]), ("utf-16-be", data[0:400:2])):
         # every second byte is zero: UTF-16 of plain text without its mark
         wide = order if half.count(0) > 0.9 * len(half) > 3 else wide
@@ -162,7 +159,7 @@ def plain_text(path: Path, source: str) -> bytes:
         try:
             data = data.decode(wide).encode("utf-8")
         except UnicodeError as error:
-            raise BadInput(f"{source}: damaged UTF-16 text ({error}); save it as UTF-8") from None
+            raise BadInput(f"damaged UTF-16 text ({error}); save it as UTF-8") from None
     data = data.removeprefix(codecs.BOM_UTF8)
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
@@ -173,7 +170,7 @@ def plain_text(path: Path, source: str) -> bytes:
         data = data.replace(b" -> ", b",")
     if len(data.translate(None, _CONTROL)) != len(data):
         bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
-        raise BadInput(f"{source}: line {bad}: control characters in a text file; save it as CSV")
+        raise BadInput(f"line {bad}: control characters in a text file; save it as CSV")
     return data
 
 
@@ -211,13 +208,13 @@ def _unbroken(data: bytes) -> bytes:
     return data
 
 
-def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
+def _encodings(head: bytes, options: ReadOptions) -> list[str]:
     """Return possible encodings of the first lines: UTF-8 if it fits, otherwise all others that fit."""
     if options.encoding is not None:
         try:
             head.decode(options.encoding)
         except UnicodeError:
-            raise BadInput(f"{source}: is not encoded as {options.encoding}; give another --encoding") from None
+            raise BadInput(f"is not encoded as {options.encoding}; give another --encoding") from None
         return [options.encoding]
     fitting = []
     for encoding in ("utf-8", *_ENCODINGS):
@@ -231,7 +228,7 @@ def _encodings(head: bytes, options: ReadOptions, source: str) -> list[str]:
     return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 accepts any bytes
 
 
-def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
+def _first_lines(data: bytes) -> list[tuple[int, int, int]]:
     """Return start, end and line number of the first lines that are not empty; comments do not count to the limit."""
     spans, begin, number, plain = [], 0, 0, 0
     while begin < len(data) and plain < _LINES and (begin < _HEAD or not plain):
@@ -239,28 +236,28 @@ def _first_lines(data: bytes, source: str) -> list[tuple[int, int, int]]:
         stop, number = data.find(b"\n", begin, begin + _LONGEST), number + 1
         if stop < 0:
             if len(data) - begin > _LONGEST:
-                raise BadInput(f"{source}: line {number}: the line is too long; save the file as plain CSV")
+                raise BadInput(f"line {number}: the line is too long; save the file as plain CSV")
             stop = len(data)
         if data[begin:stop].strip():
             spans.append((begin, stop, number))
             plain += not data[begin:stop].lstrip(b' "').startswith(_MARKS)
         begin = stop + 1
     if not spans:
-        raise BadInput(f"{source}: the file is empty (blank lines only); record it again or leave it out")
+        raise BadInput("the file is empty (blank lines only); record it again or leave it out")
     return spans
 
 
-def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source: str) -> list[Layout]:
+def _layouts(lines: list[str], numbers: list[int], options: ReadOptions) -> list[Layout]:
     """Return possible layouts of a text: that of a known program, otherwise all that the rows allow."""
     stated = (options.header_line, options.units_line, options.separator, options.decimal)
     if stated == (None,) * 4:
         for signature in SIGNATURES:
-            layout = signature(lines, source)
+            layout = signature(lines)
             if layout is not None:
                 return [layout]
     commented = [line.lstrip(' "').startswith(COMMENTS) and not _QUOTED_MARK.match(line) for line in lines]
     plain = [line for line, comment in zip(lines, commented, strict=True) if not comment]
-    separator, decimal = _dialect(plain, options, source)
+    separator, decimal = _dialect(plain, options)
     bare = [
         line.strip().strip('"').lstrip("#%/! \t") if comment else line
         for line, comment in zip(lines, commented, strict=True)
@@ -269,7 +266,7 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions, source:
     cells = _recut(bare, cells, commented, separator, decimal)
     marked = _durations(cells, decimal)
     rows = Rows(cells, numbers, commented)
-    made = layouts(rows, separator, decimal, source, options.header_line, options.units_line)
+    made = layouts(rows, separator, decimal, options.header_line, options.units_line)
     return [_with_durations(layout, marked) for layout in made] if marked else made
 
 
@@ -329,7 +326,7 @@ def cells_of(line: str, separator: str) -> list[str]:
     return [cell.strip() for cell in next(csv.reader([line], delimiter=separator, skipinitialspace=True), [])]
 
 
-def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, str]:
+def _dialect(plain: list[str], options: ReadOptions) -> tuple[str, str]:
     """Return the separator and decimal mark with which most cells are numbers.
 
     Raises:
@@ -349,7 +346,7 @@ def _dialect(plain: list[str], options: ReadOptions, source: str) -> tuple[str, 
             if score > best + 1e-9:
                 best, dialect = score, (separator, decimal)
     if dialect is None:
-        raise NoTable(source)
+        raise NoTable()
     return dialect
 
 
@@ -374,7 +371,7 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
 
 def _line_of(path: Path, sample: int, above: int) -> int:
     """Return the line number of a sample, counted from 1; the file is read again for it."""
-    lines = enumerate(plain_text(path, cleaned(path)).split(b"\n")[above:], above + 1)
+    lines = enumerate(plain_text(path).split(b"\n")[above:], above + 1)
     filled = (number for number, line in lines if _is_row(line))
     return next(islice(filled, sample, None), above + 1 + sample)
 
@@ -445,7 +442,7 @@ def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
     return (cells_of(line, layout.separator) for line in lines)
 
 
-def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int], str]) -> list[np.ndarray]:
+def _rows(body, layout: Layout, places, encoding, place: Callable[[int], str]) -> list[np.ndarray]:
     """Load columns row by row; refuse the first bad row with its line and column."""
     values, width = [], layout.width
     try:
@@ -456,19 +453,17 @@ def _rows(body, layout: Layout, places, encoding, source, place: Callable[[int],
             if len(row) != width and not (len(row) == width - 1 and not layout.columns[-1].name):
                 short = layout.columns[len(row)].name if len(row) < width else layout.columns[-1].name
                 raise BadInput(
-                    f"{source}: column {short!r}, {place(len(values))}: {len(row)} cells, but {width} in the other "
+                    f"column {short!r}, {place(len(values))}: {len(row)} cells, but {width} in the other "
                     "rows; correct the line or --separator"
                 )
             values.append([row[k].strip() if k < len(row) else "" for k in places])
     except csv.Error as error:
-        raise BadInput(
-            f"{source}: sample {len(values)}: cannot be read as CSV ({error}); save it as plain CSV"
-        ) from None
+        raise BadInput(f"sample {len(values)}: cannot be read as CSV ({error}); save it as plain CSV") from None
     columns = list(zip(*values, strict=True)) or [()] * len(places)
-    return [numbers_of(cells, layout, k, source, place) for cells, k in zip(columns, places, strict=True)]
+    return [numbers_of(cells, layout, k, place) for cells, k in zip(columns, places, strict=True)]
 
 
-def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place: Callable[[int], str]) -> np.ndarray:
+def numbers_of(cells: Sequence[str], layout: Layout, k: int, place: Callable[[int], str]) -> np.ndarray:
     """Convert the cells of column k to numbers; dates and times of day become seconds.
 
     Raises:
@@ -480,7 +475,7 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place:
             return seconds(cells)
         except (ValueError, OverflowError) as error:
             raise BadInput(
-                f"{source}: column {column.name!r}: cannot be read as dates and hours ({cleaned(error)[:60]}); write "
+                f"column {column.name!r}: cannot be read as dates and hours ({cleaned(error)[:60]}); write "
                 "seconds, or give --rate HZ"
             ) from None
     if column.form == "duration" and column.beside:
@@ -489,7 +484,7 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, source: str, place:
         if not is_number(cell, layout.decimal):
             shown = cleaned(cell if len(cell) <= 20 else cell[:20] + "...")
             raise BadInput(
-                f"{source}: column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
+                f"column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
                 "number (leave a missing output empty)"
             )
     plain = str.maketrans("Dd,", "Ee.") if layout.decimal == "," else str.maketrans("Dd", "Ee")  # Fortran's 1.0D-3
