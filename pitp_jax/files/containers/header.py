@@ -177,8 +177,6 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         return len(row) == width and some and all(fit[form](cell) for cell, form in zip(row, forms, strict=True))
 
     good = [k for k in body if holds(k)]
-    if len(good) > 1 and _counts_samples(rows.cells[good[0]]) and all(rows.cells[k][0] for k in good[1:]):
-        good = good[1:]
     # single numbers above a row of names are settings
     full = next((k for k in good if _count(rows.cells[k], decimal) > 1), 0)
     between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
@@ -187,11 +185,6 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
     # two rows of numbers in sequence start the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return next(iter(pairs or good), None)
-
-
-def _counts_samples(row: Sequence[str]) -> bool:
-    """Return whether a row states the number of samples of every channel (`,400,400`)."""
-    return not row[0] and len(trimmed(row)) > 2 and len(set(filter(None, row))) == 1 and max(row).isdecimal()
 
 
 def _units_row(rows: Rows, first: int, widths: range, units_line: str | None) -> tuple[list[str], list[int]]:
@@ -304,9 +297,6 @@ def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths:
 def _with_names(bare: Layout, names: Sequence[str], units: Sequence[str], rows: Rows, first: int) -> Layout:
     spoken = _spoken(rows, first)
     beside = [_of_unit(unit) if unit.strip("[]()- ") else None for unit in (*units, *[""] * bare.width)]
-    # the units row omits the row names too
-    if len(trimmed(units)) == len(trimmed(names)) - 1 and names[0] == "row":
-        beside = [None, *beside]
     columns = tuple(
         Column(cleaned(name), beside[k], spoken.get(_stem(name)), bare.columns[k].form) for k, name in enumerate(names)
     )

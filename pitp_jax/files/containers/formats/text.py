@@ -143,14 +143,8 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
 def plain_text(path: Path) -> bytes:
     """Read a text file: decompressed, with plain line ends, UTF-16 converted to UTF-8."""
     data, wide = file_bytes(path), None
-    # by its first bytes, because downloads lose or gain suffixes
-    zipped = data.startswith(b"\x1f\x8b")
-    if path.name.lower().endswith(".gz"):
-        if not zipped:
-            raise BadInput("is not a gzip file although its name ends in .gz; rename it if it is plain text")
+    if data.startswith(b"\x1f\x8b"):  # whatever its suffix is, because downloads lose or gain `.gz`
         data = gunzip(data)
-    elif zipped:
-        raise BadInput("is a gzip file although its suffix is one of text; rename it to end in .gz")
     for order, half in (("utf-16-le", data[1:400:2]), ("utf-16-be", data[0:400:2])):
         # every second byte is zero: UTF-16 of plain text without its mark
         wide = order if half.count(0) > 0.9 * len(half) > 3 else wide
