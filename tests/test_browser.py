@@ -43,11 +43,11 @@ def many(count):
 def fit_or_compare(kind):
     simulated, robot = machine(), machine(late=0.02, gain=0.9)
     if kind == "compare":
-        return compare_page(pitp.compare(simulated, robot, names=("simulator", "robot")))
+        return compare_page(pitp.compare(simulated, robot, names=("simulator", "robot"))).html()
     model = pitp.identify(simulated, order=2, input_map="linear").model
     runs = pitp.predict(model, robot)
     scores = {r.name: score(r, p) for r, p in zip(robot, runs, strict=True)}
-    return fit_page(model, robot, runs, scores, "model.pitp")
+    return fit_page(model, robot, runs, scores, "model.pitp").html()
 
 
 def against(explained):
@@ -73,7 +73,7 @@ def against(explained):
         tuple(0.1 * r.voltage for r in robot),
     )
     object.__setattr__(explained, "budget", budget)
-    return against_page(found)
+    return against_page(found).html()
 
 
 def index(folder):
@@ -104,14 +104,14 @@ KINDS = ("compare", "fit", "bode", "check", "plan", "against", "index", "partly"
 def drawn(request, name, tmp_path):
     """The page of a kind."""
     made = {
-        "check": lambda: check_page(pitp.check(many(30))),
-        "plan": lambda: plan_page(pitp.plan(max_voltage=6000.0, band=(0.5, 10.0), max_displacement=2.5e-3)),
+        "check": lambda: check_page(pitp.check(many(30))).html(),
+        "plan": lambda: plan_page(pitp.plan(max_voltage=6000.0, band=(0.5, 10.0), max_displacement=2.5e-3)).html(),
         "against": lambda: against(request.getfixturevalue("explained")),
         "index": lambda: index(tmp_path),
-        "partly": lambda: report(replace(request.getfixturevalue("tied"), verdict="partly")),
-        "long_names": lambda: report(with_long_names(request.getfixturevalue("explained"))),
-        "bode": lambda: bode_page(pitp.identify(machine(), order=2, input_map="linear"), "nominal.pitp"),
-        **{verdict: lambda: report(request.getfixturevalue(name)) for verdict in VERDICTS},
+        "partly": lambda: report(replace(request.getfixturevalue("tied"), verdict="partly")).html(),
+        "long_names": lambda: report(with_long_names(request.getfixturevalue("explained"))).html(),
+        "bode": lambda: bode_page(pitp.identify(machine(), order=2, input_map="linear"), "nominal.pitp").html(),
+        **{verdict: lambda: report(request.getfixturevalue(name)).html() for verdict in VERDICTS},
     }
     return made.get(name, lambda: fit_or_compare(name))()
 
@@ -133,4 +133,4 @@ def test_every_cell_is_seen_text_can_be_read_and_the_page_is_small(drawn, name, 
 
 @pytest.mark.exhaustive
 def test_a_page_of_a_hundred_records_is_below_two_megabytes():
-    assert len(check_page(pitp.check(many(100)))) < 2e6
+    assert len(check_page(pitp.check(many(100))).html()) < 2e6

@@ -181,7 +181,7 @@ def test_hum_is_a_steady_tone_and_no_part_of_the_model(nominal, monkeypatch):
     assert hz["ci95"][0] < 17.3 < hz["ci95"][1] and hz["ci95"][1] - hz["ci95"][0] < 0.05
     assert found.budget["effects"]["steady_tone"]["share"] > 0.9
     assert "oscillation" in str(found) and json.dumps(found.as_json())
-    assert report(found)
+    assert report(found).html()
 
 
 def test_a_healthy_machine_needs_no_search(nominal, monkeypatch):
@@ -194,7 +194,7 @@ def test_a_healthy_machine_needs_no_search(nominal, monkeypatch):
         found = pitp.diagnose(Fitted(model_of(nominal), origin), records)
         assert (found.verdict, found.effects, found.handed_back) == ("no_gap", (), ())
         assert found.gap.closed_fraction is None and sum(found.where["records"].values()) == pytest.approx(1.0)
-        assert json.dumps(found.as_json()) and str(found) and report(found)
+        assert json.dumps(found.as_json()) and str(found) and report(found).html()
 
 
 @pytest.mark.slow

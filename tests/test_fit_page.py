@@ -34,7 +34,7 @@ def test_every_record_stands_there_the_worst_first(fitted):
     pairs = [pair("calm", 2, 0.5), pair("<wild>", 5, 3.0), pair("gone", 3, 0.0, lost=True)]
     records, runs = zip(*pairs, strict=True)
     scores = {r.name: score(r, p) for r, p in pairs}
-    text = fit_page(Fitted(fitted), records, runs, scores, "model.pitp")
+    text = fit_page(Fitted(fitted), records, runs, scores, "model.pitp").html()
     table = text[text.index("Recordings, the worst first") :]
     assert table.index("gone") < table.index("&lt;wild&gt;") < table.index("calm")
     assert "3.00" in table and "0.500" in table and "diverged" in table and "<wild>" not in text
@@ -46,7 +46,7 @@ def test_every_record_stands_there_the_worst_first(fitted):
 
 def test_an_identified_model_has_a_page_without_tokens(actuator):
     record, run = pair("only", 2, 1.0)
-    text = fit_page(Fitted(actuator), [record], [run], {"only": score(record, run)}, "nominal")
+    text = fit_page(Fitted(actuator), [record], [run], {"only": score(record, run)}, "nominal").html()
     assert text.count("<svg") == 3 and "at most 1.0" in text
 
 

@@ -295,13 +295,13 @@ def test_the_command_takes_model_and_records_in_either_order(tmp_path, capsys, l
 
 def test_the_page_says_when_to_stop():
     first = pitp.plan(**RIG)
-    assert "Stop" in page(type(first)((), first.limits, (0.02,), True), "model")
-    assert "Stop" not in page(first, "model")
+    assert "Stop" in page(type(first)((), first.limits, (0.02,), True), "model").html()
+    assert "Stop" not in page(first, "model").html()
 
 
 @pytest.mark.slow
 def test_the_page_tells_the_error_that_is_expected(following):
-    assert "the expected error of the model is" in page(following, "model")
+    assert "the expected error of the model is" in page(following, "model").html()
 
 
 @pytest.mark.parametrize("slew", [2e5, 3e4, 5e6])

@@ -202,7 +202,7 @@ def test_no_legend_is_wider_than_its_figure():
 
 
 def test_time_counts_from_the_start_and_the_error_of_every_run_is_drawn():
-    drawn = beside(700 + T, ("robot", X), [("before", 2 * X, "#000000"), ("after", Y, "#111111")], ("x", "error"))
+    drawn = beside(700 + T, ("robot", X), [("before", 2 * X, "#000000"), ("after", Y, "#111111")], "m", ("x", "error"))
     upper, lower = drawn.axes
     assert np.asarray(upper.lines[0].get_xdata())[0] == 0 and lower.get_xlabel() == "time from the start (s)"
     assert len(upper.lines) == 3 and len(lower.lines) == 2

@@ -43,7 +43,7 @@ def test_the_gap_is_drawn_where_it_is_largest_in_the_users_unit(explained):
 def test_an_electronic_output_is_told_in_volts(explained):
     electronic = replace(explained, model=replace(explained.model, origin=Origin(displacement_unit="mV")))
     assert figures.gap(electronic)[0].axes[0].get_ylabel() == "output (mV)"
-    text = report(electronic)
+    text = report(electronic).html()
     assert "range (mV)" in text and "In mV, rms" in text
 
 
@@ -90,7 +90,7 @@ def test_any_name_of_a_record_can_be_drawn(explained, name):
     for picture in figures.figures(odd).values():
         assert not any("not drawn" in text.get_text() for text in picture.drawn.texts)
         assert "<svg" in picture.html()
-    assert "<b>" not in report(odd)
+    assert "<b>" not in report(odd).html()
 
 
 def test_a_figure_that_fails_costs_itself_alone(explained, monkeypatch):
@@ -101,14 +101,14 @@ def test_a_figure_that_fails_costs_itself_alone(explained, monkeypatch):
     drawn = figures.figures(explained)
     assert "no such" in drawn["where"].drawn.texts[0].get_text()
     assert len(drawn["force"].drawn.axes) == 3
-    assert "<svg" in report(explained)
+    assert "<svg" in report(explained).html()
 
 
 def test_chart_table_and_card_have_one_order(unknown):
     """The card named candidates that closed less than others of the chart."""
     fractions = (0.33, 0.45, None, 0.42)
     ranking = tuple(replace(r, closed_fraction=f) for r, f in zip(unknown.ranking, fractions, strict=True))
-    text = report(replace(unknown, ranking=ranking))
+    text = report(replace(unknown, ranking=ranking)).html()
     order = ["delay", "drag", "electrode_rc"]
     for part in (text[text.index("Which") :], text[text.index("All candidates") :]):
         assert sorted(order, key=part.index) == order

@@ -92,7 +92,7 @@ def test_finds_the_lag_and_says_so(run):
     assert (part["effect"], part["certainty"], run.told["refit"]) == ("electrode_rc", "certain", "no")
     low, high = part["parameters"]["tau"]["ci95"]
     assert low < tau["value"] < high and abs(TAU - tau["value"]) < 2 * (high - low)
-    assert "electrode_rc *" in run.out and "closed (%)" in run.out
+    assert "electrode_rc *" in run.out and "closed (95 % interval)" in run.out
     assert "pitp: diagnosing" in run.err and "pitp: sets of 1" in run.err
 
 

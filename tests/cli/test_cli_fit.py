@@ -10,7 +10,7 @@ import pytest
 from cli_cases import refused, tree
 
 import pitp_jax as pitp
-from pitp_jax.application.commands.console import ProgressBar, say
+from pitp_jax.application.commands.console import ProgressLine, say
 from pitp_jax.common.errors import BadInput, ComputationFailed
 from pitp_jax.files.model_file import model_file
 from pitp_jax.method.model.encoder import CompactEncoder
@@ -136,13 +136,13 @@ def test_progress_is_redrawn_in_place_on_a_terminal(monkeypatch):
             return True
 
     monkeypatch.setattr(sys, "stderr", terminal := Terminal())
-    bar = ProgressBar()
+    line = ProgressLine()
     for step in range(1, 101):
-        bar.update(training.Progress("stage 1", step, 100, 1.5, 0.25, 0.125))
+        line.train(training.Progress("stage 1", step, 100, 1.5, 0.25, 0.125))
     say("done")
     drawn = terminal.getvalue().split("\r\x1b[K")
-    assert drawn[1].startswith("[....................] stage 1: 1/100  box 1.5")
-    assert drawn[-2].startswith("[####################] stage 1: 100/100")
+    assert drawn[1].startswith("stage 1: 1/100  box 1.5")
+    assert drawn[-2].startswith("stage 1: 100/100")
     assert drawn[-2].endswith("\n")
     assert drawn[-1] == "pitp: done\n"
     assert 3 <= len(drawn) < 20  # not redrawn faster than can be seen

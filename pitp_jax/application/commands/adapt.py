@@ -4,7 +4,7 @@ from ...files.model_file.model_file import save
 from ...files.recordings.writing import write_bytes_atomic
 from ...method.adapt.adaptation import Adaptation
 from ...method.adapt.adaptation import adapt as run_adaptation
-from .console import number, print_table
+from .console import Table, number, print_table
 from .outputs import check_outputs, staged
 from .recordings import open_both
 
@@ -46,8 +46,7 @@ def print_adaptation(day: Adaptation) -> None:
             now.append(f"now {number(1e3 * c.seconds, 3)} ms ({low} to {high})")
         if not c.is_significant:
             now.append("applied, though 1 lies within its interval")
-        rows.append((name, number(c.factor, 4), " to ".join(number(end, 4) for end in c.ci95), ", ".join(now)))
-    if rows:
-        print_table(("number", "factor", "95 % interval", ""), rows)
+        rows.append((name, c.factor, " to ".join(number(end, 4) for end in c.ci95), ", ".join(now)))
+    print_table(Table(("number", "factor", "95 % interval", ""), rows))
     if day.advice:
         print(day.advice)

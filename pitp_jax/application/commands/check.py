@@ -1,6 +1,7 @@
 """`pitp check`: reports what was read, how each record starts, and whether the records suffice."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
 
 from ...common.units import base_unit
@@ -8,8 +9,8 @@ from ...files.containers.options import folder_file
 from ...files.recordings.reading import read_each
 from ...files.recordings.writing import write_signals, write_text_atomic
 from ..check.check import Check, checked
-from ..pages.check import page
-from .console import number, print_table, say
+from ..pages.check import page, table
+from .console import print_table, say
 from .outputs import check_outputs, staged
 from .recordings import recognised
 
@@ -50,21 +51,15 @@ def _write(result: Check, files: dict[str, str], folder: Path) -> None:
         voltage = record.voltage, base_unit(record.voltage_unit)
         displacement = record.displacement, base_unit(record.displacement_unit)
         write_signals(folder / files[record.name], record.time, voltage=voltage, displacement=displacement)
-    write_text_atomic(folder / PAGE, page(result))
+    write_text_atomic(folder / PAGE, page(result).html())
     said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
     write_text_atomic(folder / SOURCE, folder_file(said))
 
 
 def _print(result: Check) -> None:
-    header = ("record", "drive", "band (Hz)", "begins", "zero", "+-", "unit", "dir", "noise", "missing", "outliers")
-    rows = []
-    for name, row in result.records.items():
-        band = "-" if row.band_hz is None else "-".join(dict.fromkeys(number(f, 3) for f in row.band_hz))
-        counts = ("-" if n is None else str(n) for n in (row.missing, row.outliers))
-        direction = "-" if row.direction is None else f"{row.direction:+d}"
-        figures = (number(row.zero), number(row.zero_stderr, 2), row.unit or "-", direction, number(row.noise, 2))
-        rows.append((name, row.excitation or "-", band, row.begins or "-", *figures, *counts))
-    print_table(header, rows)
+    rows = table(result)
+    # what a file was read as is printed above
+    print_table(replace(rows, header=rows.header[:-1], rows=[row[:-1] for row in rows.rows]))
     for name, lines in result.problems.items():
         for line in lines:
             print(f"{name}: {line}")

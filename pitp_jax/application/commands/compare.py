@@ -4,12 +4,11 @@ from pathlib import Path
 
 from ...files.model_file.model_file import is_model_file, load
 from ...files.recordings.reading import read
-from ...files.recordings.writing import write_text_atomic
 from ..compare.comparison import compare as run_compare
 from ..compare.result import Comparison
-from ..pages.compare import figures, page
-from ..pages.drawn import write_picture
-from .console import number, print_table
+from ..pages.compare import page
+from ..pages.drawing import write_page
+from .console import print_table
 from .outputs import MODEL, check_outputs, staged
 
 PAGE = "compare.html"
@@ -31,7 +30,7 @@ def compare(a, b, out, json_file, reading) -> None:
     comparison = run_compare(_opened(a, reading), _opened(b, reading), names=_names(a, b))
     with staged(folder=out, json_file=json_file, value=comparison.as_json()) as stage:
         if out is not None:
-            _write(comparison, stage)
+            write_page(stage / PAGE, page(comparison))
     _print(comparison)
     if out is not None:
         print(f"wrote {Path(out) / PAGE}")
@@ -50,17 +49,8 @@ def _names(a: str, b: str) -> tuple[str, str]:
     return Path(*one[-size:]).as_posix(), Path(*two[-size:]).as_posix()
 
 
-def _write(comparison: Comparison, folder: Path) -> None:
-    drawn = figures(comparison)
-    for picture in drawn:
-        write_picture(folder, picture)  # before the page, which makes it small
-    write_text_atomic(folder / PAGE, page(comparison, drawn))
-
-
 def _print(comparison: Comparison) -> None:
     print(comparison.headline())
     for line in comparison.remarks:
         print(line)
-    rows = comparison.table([r for r in comparison.rows if r.differs is not False])
-    if rows.rows:
-        print_table(rows.header, rows.cells(number))
+    print_table(comparison.table([r for r in comparison.rows if r.differs is not False]))

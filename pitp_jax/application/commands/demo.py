@@ -7,7 +7,7 @@ from ...common.errors import BadInput
 from ..compare.description import fallback_line
 from ..demo import files, joint
 from ..demo.protocol import run, tables
-from .console import ProgressBar, number, print_table, say
+from .console import ProgressLine, Table, print_table, say
 from .outputs import check_outputs, staged
 
 
@@ -28,18 +28,17 @@ def demo(plant, out, quick, json_file=None) -> None:
         return
     check_outputs(json_file, folder=out, names=files.FILES)
     _check_recordings(Path(out), files.recordings(plant, quick))
-    played = run(plant, quick=quick, say=say, progress=ProgressBar().update)
+    played = run(plant, quick=quick, say=say, progress=ProgressLine().train)
     made = tables(played)
     fallback = fallback_line(played.training.notes)
-    value = {"tables": [asdict(table) for table in made], "fallback": fallback}
+    value = {"tables": [{"title": t.note, "header": t.header, "rows": t.rows} for t in made], "fallback": fallback}
     with staged(folder=out, json_file=json_file, value=value) as stage:
         files.write(played, stage)
     if fallback:
         print(f'{fallback} The column "this model" shows that model.\n')
     for table in made:
-        print(table.title)
-        rows = [[cell if isinstance(cell, str) else number(cell, 3) for cell in row] for row in table.rows]
-        print_table(table.header, rows)
+        print(table.note)
+        print_table(table, 3)
         print()
     print(f"recordings, model, tables and figures are in {out}; the other commands run on them:")
     print(f"  pitp predict {out}/model.pitp {out}/held_out")
@@ -53,8 +52,8 @@ def _joint(out: str, quick: bool, json_file: str | None) -> None:
     with staged(folder=out, json_file=json_file, value={"simulator": ideal, "robot": real}) as stage:
         joint.write(stage, quick=quick)
     units = {"friction": "N m", "delay": "s", "backlash": "rad"}
-    rows = [(name, number(ideal[name]), number(real[name]), unit) for name, unit in units.items()]
-    print_table(("what differs", "simulator", "robot", "unit"), rows)
+    rows = [(name, ideal[name], real[name], unit) for name, unit in units.items()]
+    print_table(Table(("what differs", "simulator", "robot", "unit"), rows))
     print(f"{out}/{joint.SIMULATED} and {out}/{joint.ROBOT} hold the same position commands. To find these parameters:")
     print(
         f"  pitp diagnose {out}/{joint.ROBOT} --against {out}/{joint.SIMULATED} --position-gain {joint.POSITION_GAIN:g}"

@@ -4,6 +4,7 @@ import os
 import shlex
 import traceback
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,19 +15,18 @@ from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
 from ...files.mjcf.write import identified_name
 from ...files.model_file.model_file import save
-from ...files.recordings.writing import write_signals, write_text_atomic
+from ...files.recordings.writing import write_signals
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
 from ..against.mjcf import write_mjcf
 from ..against.result import SimToReal
-from ..pages.against import figures as figures_beside
 from ..pages.against import page
-from ..pages.diagnosis.figures import FIGURES, by_closed_fraction, figures
-from ..pages.diagnosis.page import report
-from ..pages.drawn import write_picture
-from .console import StatusLine, number, print_table, say
+from ..pages.diagnosis.figures import FIGURES
+from ..pages.diagnosis.page import ranking, report
+from ..pages.drawing import write_page
+from .console import ProgressLine, print_table, say
 from .ours import check_replaceable
 from .outputs import MODEL, REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
@@ -68,7 +68,7 @@ def diagnose(
         if given.position and position_gain is None:
             position_gain = given.torque_per_command
     _check_places(out, json_file, mjcf, [nominal, *records, *(against or ())])
-    status = StatusLine()
+    status = ProgressLine()
     options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
     if against is None:
         model, read_in = open_both(nominal, records, reading)
@@ -204,22 +204,12 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
-    """Write the pages and their figures into a folder; those that fail are reported and left out."""
+    """Write the pages and their figures into a folder; a page that fails is reported and left out."""
     robot = _robot_of(diagnosis)
-
-    def write(picture):
-        _attempt(f"the figure {picture.name}", lambda: write_picture(folder, picture))
-
-    drawn = _attempt("the figures", lambda: figures(robot)) or {}
-    for picture in drawn.values():
-        write(picture)  # before the page, which makes it small
-    robot_page = REPORT if robot is diagnosis else ROBOT
-    _attempt(robot_page, lambda: write_text_atomic(folder / robot_page, report(robot, drawn)))
+    name = REPORT if robot is diagnosis else ROBOT
+    _attempt(name, lambda: write_page(folder / name, report(robot)))
     if isinstance(diagnosis, SimToReal):
-        beside = _attempt("the figures of robot and simulator", lambda: figures_beside(diagnosis)) or []
-        for picture in beside:
-            write(picture)
-        _attempt(REPORT, lambda: write_text_atomic(folder / REPORT, page(diagnosis, beside)))
+        _attempt(REPORT, lambda: write_page(folder / REPORT, page(diagnosis)))
 
 
 def _print(diagnosis: Diagnosis | SimToReal) -> None:
@@ -230,21 +220,17 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
         return
     print(diagnosis.robot)
     rows = diagnosis.table()
-    print_table(rows.header[:7], [row[:7] for row in rows.cells(number)])  # the page has the other programs' names
+    # the page has the other programs' names
+    print_table(replace(rows, header=rows.header[:7], rows=[row[:7] for row in rows.rows]))
     for line in diagnosis.remarks():
         print(line)
 
 
 def _print_ranking(diagnosis: Diagnosis) -> None:
-    """Print the best candidate effects; * marks those that are reported, = those that fit as well as the first."""
-    rows = []
-    for r in by_closed_fraction(diagnosis.ranking)[:_ROWS]:
-        mark = " =" if r.effect in diagnosis.equivalent else ""
-        mark = " *" if r.effect in diagnosis.effects else mark
-        ci = "-" if r.ci95 is None else " to ".join(number(100 * end, 3) for end in r.ci95)
-        closed = None if r.closed_fraction is None else 100 * r.closed_fraction
-        rows.append((f"{r.effect}{mark}", r.form, number(r.train, 3), number(r.heldout, 3), number(closed, 3), ci))
-    print_table(("effect", "form", "fitted (%)", "held out (%)", "closed (%)", "95 % interval"), rows)
-    more = len(diagnosis.ranking) - len(rows)
+    """Print the best candidate effects, without their parameters."""
+    table = ranking(diagnosis)
+    header, *rows = ([*row[:2], *row[3:]] for row in (table.header, *table.rows[:_ROWS]))
+    print_table(replace(table, header=header, rows=rows, bold=table.bold[:_ROWS]), 3)
+    more = len(table.rows) - _ROWS
     if more > 0:
         print(f"and {more} more, which --json and the report list")

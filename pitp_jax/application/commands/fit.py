@@ -19,7 +19,7 @@ from ...method.train.settings import preset_of
 from ...method.train.training import Training, train
 from ..compare.description import describe, fallback_line, in_words, sensor_line
 from .compatibility import check_belongs
-from .console import ProgressBar, number, say
+from .console import ProgressLine, number, say
 from .fit_errors import errors_json, explained, print_errors, suspects
 from .outputs import REPORT, check_outputs, staged, write_json
 from .predict import score
@@ -69,7 +69,7 @@ def fit(
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
     anew = (lambda _: given) if given else (lambda some: identified(some, order=order or "auto").model)
-    done, held_out = train(start, read_in, progress=ProgressBar().update, **how), ()
+    done, held_out = train(start, read_in, progress=ProgressLine().train, **how), ()
     save(out, done.model)
     if report is not None:
         _report(done.model, read_in, report, out)
@@ -79,7 +79,7 @@ def fit(
     _print_training(done, [r.name for r in read_in], warning)
     if cross_validate:
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
-        held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressBar().update, **how)
+        held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressLine().train, **how)
         save(out, with_held_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
@@ -114,7 +114,7 @@ def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) ->
     runs = predict(model, records)
     scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
     with staged(folder=folder) as stage:
-        write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name))
+        write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name).html())
 
 
 def _given(path: str, order, input_map) -> Fitted:

@@ -10,7 +10,7 @@ from ...method.identify.identification import Identification
 from ...method.signal.record import Record
 from ...method.train.cross_validation import HeldOut
 from ...method.train.errors import RecordError
-from .console import number, print_table
+from .console import Table, print_table
 
 _HALF = 0.5  # of the identification's residual
 
@@ -44,14 +44,14 @@ def explained(
 
 def print_errors(errors: Sequence[RecordError], held_out: Sequence[HeldOut]) -> None:
     """Print the error of every record: of the nominal model, the trained one and, if known, one trained without it."""
-    rows: list[tuple[str, ...]] = [(e.name, number(e.nominal, 3), number(e.trained, 3)) for e in errors]
+    rows: list[tuple] = [(e.name, e.nominal, e.trained) for e in errors]
     header = ("record, e_rms in % of range", "nominal", "trained")
     if held_out:
         header = (*header, "left out")
-        rows = [(*row, number(h.predicted, 3)) for row, h in zip(rows, held_out, strict=True)]
-        columns = ([e.nominal for e in errors], [e.trained for e in errors], [h.predicted for h in held_out])
-        rows.append(("median", *(number(median(column), 3) for column in columns)))
-    print_table(header, rows)
+        rows = [(*row, h.predicted) for row, h in zip(rows, held_out, strict=True)]
+        _, *columns = zip(*rows, strict=True)
+        rows.append(("median", *map(median, columns)))
+    print_table(Table(header, rows), 3)
 
 
 def suspects(held_out: Sequence[HeldOut]) -> list[str]:

@@ -1,13 +1,13 @@
 """`pitp identify`: fits a linear model of the lowest sufficient order to records."""
 
-from ...common.units import from_base
 from ...files.model_file.model_file import save
 from ...files.recordings.writing import write_text_atomic
-from ...method.identify.identification import Identification
 from ...method.identify.identification import identify as run_identify
 from ...method.model.units import units_of
 from ...method.simulate.prediction import predict
 from ..compare.description import describe
+from ..pages.tables import orders as orders_table
+from ..pages.tables import scores as scores_table
 from .console import number, print_table, say
 from .outputs import REPORT, check_outputs, staged
 from .predict import score
@@ -58,11 +58,10 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         from ..pages.bode_page import bode_page  # imported here, because matplotlib takes half a second
 
         with staged(folder=report) as stage:
-            write_text_atomic(stage / REPORT, bode_page(identified, out))
-    unit = read_in[0].displacement_unit
+            write_text_atomic(stage / REPORT, bode_page(identified, out).html())
     if identified.warning:
         print(f"warning: {identified.warning}")
-    print_orders(identified, unit)
+    print_table(orders_table(identified))
     print_model(identified.model, summary)
     if identified.chosen.delay:
         print(delay_text(identified))
@@ -70,22 +69,9 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     for remark in identified.remarks:
         print(remark)
     if scores:
-        rows = [(name, number(s["e_rms_percent"], 3), number(s["nrmse_percent"], 3)) for name, s in scores.items()]
-        print_table(("validated on", "e_rms (% of range)", "nrmse (% of std)"), rows)
+        print("validated on:")
+        print_table(scores_table(scores, scores, {}))
     return 0 if identified.explains else 3
-
-
-def print_orders(identified: Identification, unit: str) -> None:
-    """Print the compared orders; the chosen one is marked *."""
-    rows = []
-    for fit in identified.orders:
-        order = f"{fit.order} *" if fit.order == identified.chosen.order else f"{fit.order}"
-        errors = (number(from_base(fit.mae, unit)), number(from_base(fit.rms, unit)), number(fit.heldout, 3))
-        natural = ", ".join(number(f, 3) for f in fit.natural_hz)
-        rows.append((order, *errors, natural, "yes" if fit.identifiable else "no"))
-    print_table(
-        ("order", f"mae ({unit})", f"rms ({unit})", "held out (% of std)", "natural (Hz)", "identifiable"), rows
-    )
 
 
 def delay_text(identified) -> str:

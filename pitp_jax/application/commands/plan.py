@@ -16,7 +16,7 @@ from ..plan.planning import REACHED, Plan
 from ..plan.planning import plan as make_plan
 from .amounts import Amount, in_base
 from .compatibility import check_belongs
-from .console import number, print_table
+from .console import print_table
 from .outputs import check_outputs, staged, write_json
 from .recordings import is_square, read_records
 
@@ -59,7 +59,7 @@ def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, jso
     with staged(folder=out, json_file=json_file, value=summary) as stage:
         for file, r in zip(files, planned.recordings, strict=True):
             write_signals(stage / file, r.time, voltage=(r.voltage, units.input.unit))
-        write_text_atomic(stage / PAGE, page(planned, given or ""))
+        write_text_atomic(stage / PAGE, page(planned, given or "").html())
         write_json(stage / JSON, summary)
     _print(planned, given is not None)
     print(f"wrote {Path(out) / PAGE}, {JSON} and {len(files)} drives")
@@ -85,8 +85,7 @@ def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
 def _print(planned: Plan, modelled: bool) -> None:
     print(headline(planned, modelled))
     if planned.recordings:
-        rows = table(planned)
-        print_table(rows.header, rows.cells(lambda value: number(value, 3)))
+        print_table(table(planned), 3)
     if any(np.isfinite(r.go_on) for r in planned.recordings):
         print(REACHED)
     for note in planned.notes:

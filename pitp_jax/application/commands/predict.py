@@ -16,6 +16,7 @@ from ...method.signal.initial_state import Beginning
 from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction
 from ...method.simulate.prediction import predict as run_predict
+from ..pages.tables import scores as scores_table
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import is_square, open_both
@@ -55,7 +56,7 @@ def predict(model, records, out, json_file, reading) -> None:
                     stage / file, record.time, {f"predicted_{unit}": from_base(prediction.displacement, unit)},
                     voltage=(record.voltage, record.voltage_unit), displacement=(record.displacement, unit),
                 )  # fmt: skip
-            write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model))
+            write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model).html())
     _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
     if open_ones := [p.name for p in predictions if p.start_certainty < _CERTAIN]:
         print(
@@ -134,31 +135,12 @@ def _shown(expected: Expected | None, prediction: Prediction) -> str:
     """Write the error to expect for a record, or `unknown` where the model was not trained with such an input."""
     if prediction.not_excited:
         return "unknown"
-    return "-" if expected is None else number(expected.percent, 2)
+    return "" if expected is None else number(expected.percent, 2)
 
 
 def _print_scores(result: dict, predictions: Sequence[Prediction], expected: Sequence[Expected | None]) -> None:
-    shown = [_shown(e, p) for e, p in zip(expected, predictions, strict=True)]
-    header = (
-        "record",
-        "e_rms (%)",
-        "nrmse (%)",
-        "rmse",
-        "unit",
-        "samples",
-        "missing",
-        "outside (%)",
-        "expected (%)",
-        "",
-    )
-    rows = []
-    for (name, row), error in zip(result["records"].items(), shown, strict=True):
-        scores = (number(row[key], 3) for key in ("e_rms_percent", "nrmse_percent", "rmse"))
-        outside = number(100 * row["outside_training_share"], 3)
-        note = "no motion to score" if row["e_rms_percent"] is None else ""
-        note = "diverged" if row["diverged"] else note
-        rows.append((name, *scores, row["rmse_unit"], str(row["samples"]), str(row["missing"]), outside, error, note))
-    print_table(header, rows)
+    shown = {p.name: _shown(e, p) for e, p in zip(expected, predictions, strict=True)}
+    print_table(scores_table(shown, result["records"], shown))
     median = result["median_e_rms_percent"]
     infinite = any(row["diverged"] for row in result["records"].values())
     print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")

@@ -8,7 +8,7 @@ from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.signal.initial_state import Beginning
 from ..compare.description import in_words, sensor_line
-from .console import number, print_table
+from .console import Table, number, print_table
 
 _HOLDS = {"foh": "linear between samples", "zoh": "held between samples", "bandlimited": "band-limited between samples"}
 
@@ -27,7 +27,7 @@ def print_model(model: Fitted, summary: dict) -> None:
         print("coefficients and modes of the linear model from which training started:")
     rows = zip(summary["coefficients"], summary["coefficients_stderr"], summary["coefficients_unit"], strict=True)
     table = [(f"a{i}", number(a, 6), number(e, 2), unit) for i, (a, e, unit) in enumerate(rows)]
-    print_table(("coefficient", "value", "std. error", "unit"), table)
+    print_table(Table(("coefficient", "value", "std. error", "unit"), table))
     for mode in summary["modes"]:
         kind = "mode" if mode["oscillates"] else "real pole"
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
@@ -98,10 +98,9 @@ def print_sensors(beginnings: dict[str, Beginning], units: Units) -> None:
     if len({b.group for b in beginnings.values()}) > 1:
         rows = []
         for name, b in beginnings.items():
-            shown = (from_base(v, unit) if math.isfinite(v) else None for v in (b.zero, b.stderr))
-            rows.append((name, *(number(v, 4) for v in shown)))
+            rows.append((name, *(from_base(v, unit) if math.isfinite(v) else None for v in (b.zero, b.stderr))))
         print("sensor offset of each recording:")
-        print_table(("record", f"zero ({unit})", "+-"), rows)
+        print_table(Table(("record", f"zero ({unit})", "+-"), rows))
 
 
 def listed(names, most: int = 4) -> str:

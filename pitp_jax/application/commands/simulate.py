@@ -16,7 +16,7 @@ from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.signal.sets import RATE_TOLERANCE
 from ...method.simulate.voltage_only import rollout
-from .console import number, print_table, say
+from .console import Table, print_table, say
 from .outputs import check_outputs, staged
 
 
@@ -54,9 +54,9 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
     table = []
     for name, row in rows.items():
-        reached = (number(row["lowest"]), number(row["highest"]), "diverged" if row["diverged"] else "")
+        reached = row["lowest"], row["highest"], "diverged" if row["diverged"] else ""
         table.append((name, str(row["samples"]), row["begins"], *reached))
-    print_table(header, table)
+    print_table(Table(header, table))
     if all(row["diverged"] for row in rows.values()):
         raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
 

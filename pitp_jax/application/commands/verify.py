@@ -3,10 +3,10 @@
 from ...common.errors import BadInput, ComputationFailed
 from ...common.units import from_base
 from ...files.mjcf.verify import Verification, verify_mjcf
-from ...files.recordings.writing import write_csv, write_text_atomic
-from ..pages.drawn import write_picture
-from ..pages.mjcf import figures, page, table
-from .console import number, print_table
+from ...files.recordings.writing import write_csv
+from ..pages.drawing import write_page
+from ..pages.mjcf import page, table
+from .console import print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import read_records
 
@@ -45,10 +45,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
                 series = {"measured": played.record.displacement, "before": played.before, "after": played.after}
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
-            drawn = figures(result)
-            for picture in drawn:
-                write_picture(stage, picture)  # before the page, which makes it small
-            write_text_atomic(stage / REPORT, page(result, drawn))
+            write_page(stage / REPORT, page(result))
     _print(result)
     if result.better is False:
         raise ComputationFailed(f"{mjcf} is not significantly better than {before}; keep the old file")
@@ -68,7 +65,6 @@ def one_joint(joint: list[str] | None) -> str:
 
 
 def _print(result: Verification) -> None:
-    rows = table(result)
-    print_table(rows.header, rows.cells(lambda value: number(value, 3)))
+    print_table(table(result), 3)
     for line in result.lines():
         print(line)

@@ -11,6 +11,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 
+from ...common.page import Table
 from ...common.picture import Picture, figure_of, finish, new_axes
 from ...files.model_file.model_file import save
 from ...files.recordings.writing import write_csv, write_text_atomic
@@ -18,10 +19,9 @@ from ...method.model.model import Model
 from ...method.signal.record import Record
 from ...method.simulate.decoder import rest_state
 from ...method.simulate.model_runs import evaluate, model_runs
-from ..pages.drawing import CYCLE, PREDICTED, beside, signals, volts
-from ..pages.drawn import FIGURES as HOME
-from ..pages.drawn import write_picture
-from .protocol import Demo, Table, excitations, nearest, tables
+from ..pages.drawing import CYCLE, PREDICTED, beside, signals, volts, write_picture
+from ..pages.drawing import FIGURES as HOME
+from .protocol import Demo, excitations, nearest, tables
 
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
 FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
@@ -71,14 +71,10 @@ def recordings(name: str, quick: bool) -> set[str]:
 
 
 def _csv(table: Table) -> str:
-    rows = [",".join(_cell(value) for value in row) for row in table.rows]
-    return "\n".join([",".join(h.replace(",", "") for h in table.header), *rows]) + "\n"  # no header then needs quotes
-
-
-def _cell(value) -> str:
-    if value is None or (isinstance(value, float) and not np.isfinite(value)):
-        return ""  # an empty cell is read as missing everywhere, the word "inf" as text by some spreadsheets
-    return f"{value:.6g}" if isinstance(value, float) else str(value)
+    header = [name.replace(",", "") for name in table.header]  # none then needs quotes
+    # an empty cell is read as missing everywhere, the word "inf" as text by some spreadsheets
+    rows = table.cells(lambda value: "" if value is None or not np.isfinite(value) else f"{value:.6g}")
+    return "\n".join(map(",".join, [header, *rows])) + "\n"
 
 
 def _sweep(demo: Demo):
@@ -93,20 +89,20 @@ def _prediction(demo: Demo):
 
 
 def _beside(time, wanted, reached, names=("measured", "predicted")):
-    labels = ("displacement (mm)", "error (mm)")
-    return beside(time, (names[0], 1e3 * wanted), [(names[1], 1e3 * reached, PREDICTED)], labels)
+    words = ("displacement", "error")
+    return beside(time, (names[0], wanted), [(names[1], reached, PREDICTED)], "mm", words)
 
 
 def _loops(demo: Demo):
     """Draw output over voltage for one steady-state period at each frequency of Table II; dashed: predicted."""
-    ax = new_axes(1, 3.2)[0]
+    (ax,) = axes = new_axes(1, 3.2)
     for t, color in zip(demo.tracks, CYCLE, strict=False):
         r = nearest(demo.train, demo.name, t.frequency)
         last = slice(r.samples - round(1 / (t.frequency * r.dt)), None)  # of the voltage: x has twice its frequency
         voltage = volts(r.voltage[last])[0]
         ax.plot(voltage, 1e3 * r.displacement[last], color=color, alpha=0.6, lw=1.8, label=f"{t.frequency:g} Hz")
         ax.plot(voltage, 1e3 * demo.predicted[r.name].displacement[last], color=color, lw=1.0, ls="--")
-    finish(np.array([ax]), volts(demo.tracks[0].voltage)[1], ["displacement (mm)"])
+    finish(axes, volts(demo.tracks[0].voltage)[1], ["displacement (mm)"])
     return figure_of(ax)
 
 

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 
 from ...common.metrics import e_rms_percent
+from ...common.page import Table
 from ...method.identify.identification import Identification, identify
 from ...method.invert.feedforward_plan import feedforward
 from ...method.signal.record import Record
@@ -66,15 +67,6 @@ SCALES = {
     "cone": Scale(2000.0, 5.0, 1.0, (0.01, 20.0, 30.0, 1e3, 3e3, 3e3), (1, 2, 4, 6, 7, 8, 10), 4.0),
     "roll": Scale(500.0, 0.5, 0.1, (0.01, 180.0, 5.0, 5e3, 700.0, 700.0), (10, 20, 30, 50, 70, 90, 100, 130), 0.5),
 }
-
-
-@dataclass(frozen=True)
-class Table:
-    """A table of numbers with a title and a header; a missing number is None."""
-
-    title: str
-    header: tuple[str, ...]
-    rows: tuple[tuple[str | float | None, ...], ...]
 
 
 @dataclass(frozen=True)
@@ -244,18 +236,14 @@ def tables(demo: Demo) -> tuple[Table, ...]:
     columns = ("this model (%)", "linear model (%)", "sensor noise (%)")
     return (
         Table(
-            f"Table I, prediction, in-sample: e_rms, {demo.name}, A3 = {amplitude:g} V",
             ("f (Hz)", "paper (%)", *columns),
-            tuple(in_sample),
+            in_sample,
+            f"Table I, prediction, in-sample: e_rms, {demo.name}, A3 = {amplitude:g} V",
         ),
+        Table(("record", *columns), held_out, f"Prediction, held out (no such record in training): e_rms, {demo.name}"),
         Table(
-            f"Prediction, held out (no such record in training): e_rms, {demo.name}",
-            ("record", *columns),
-            tuple(held_out),
-        ),
-        Table(
-            f"Table II, tracking on the virtual actuator: e_rms, {demo.name}, half the reachable range",
             ("f (Hz)", "paper (%)", columns[0], "self-check (%)"),
-            tuple(tracking),
+            tracking,
+            f"Table II, tracking on the virtual actuator: e_rms, {demo.name}, half the reachable range",
         ),
     )

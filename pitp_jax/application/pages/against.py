@@ -1,10 +1,9 @@
 """Write the page of a robot and its simulator: verdict, parameters, parts of the error, recordings overlaid."""
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 from ...common.numbers import shown_unit
-from ...common.page import Section
+from ...common.page import Page, Section
 from ...common.picture import Picture
 from ...common.units import from_base
 from ..against.result import SimToReal
@@ -15,11 +14,10 @@ from .drawing import DRIVE, signals, some_periods
 _DRAWN = 12  # recordings
 
 
-def page(result: SimToReal, drawn: Sequence[Picture] | None = None) -> str:
-    """Write the page as HTML; `drawn` holds the result of `figures`, or None to draw them."""
-    shown = figures(result) if drawn is None else drawn
-    rest = [Section("Parts of the gap", [budget_table(result.budget)]), Section("Recordings", [shown])]
-    return replace(result.summary(), rest=rest).html()
+def page(result: SimToReal) -> Page:
+    """Return the page, with every recording drawn."""
+    rest = [Section("Parts of the gap", [budget_table(result.budget)]), Section("Recordings", [figures(result)])]
+    return replace(result.summary(), rest=rest)
 
 
 def figures(result: SimToReal) -> list[Picture]:

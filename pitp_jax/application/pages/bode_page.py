@@ -14,29 +14,24 @@ from ...method.identify.order_fit import OrderFit
 from ...method.model.units import units_of
 from ..compare.description import sensor_line
 from .drawing import CYCLE, MEASURED
+from .tables import orders
 
 
-def bode_page(fits: Identification, name: str) -> str:
-    """Write an HTML page on an identification whose model file is `name`."""
+def bode_page(fits: Identification, name: str) -> Page:
+    """Return the page on an identification whose model file is `name`."""
     chosen, count = fits.chosen, len(fits.beginnings)
     hold = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
-    orders = [
-        (str(o.order), o.hold, 1e3 * o.delay if o.delay else None, o.heldout, o.rms, "yes" if o.identifiable else "no")
-        for o in fits.orders
-    ]
-    header = ("order", "hold", "delay, ms", "held out, % of std", "in sample, rms", "determined")
-    bold = [o is chosen for o in fits.orders]
     return Page(
         f"Order {chosen.order}, {hold}{delay}",
         f"Identification of {name} on {count} recording{'s'[: count != 1]}",
         [_why(fits), sensor_line(fits.model), *fits.remarks, [bode(fits), _residuals(fits)]],
         [
-            Section("Orders compared", [Table(header, orders, "By order; bold: chosen.", bold, (0, 1))]),
+            Section("Orders compared", [orders(fits)]),
             Section("Poles of the model", [_poles(chosen)]),
             Section("Residual", [_whiteness(fits)]),
         ],
-    ).html()
+    )
 
 
 def _why(fits: Identification) -> str:

@@ -1,7 +1,5 @@
 """Write the check as one self-contained page: advice, records, coverage, and every record's output and input."""
 
-import numpy as np
-
 from ...common.numbers import figure, shown_unit, with_error
 from ...common.page import Page, Section, Table
 from ...common.picture import Picture, figure_of, finish, new_axes
@@ -16,8 +14,8 @@ _DRAWN = 24  # records; a page with more is too long to read
 _BEGINS = {"rest": "starts at rest", "held": "starts settled at a held input", "moving": "starts moving"}
 
 
-def page(check: Check) -> str:
-    """Write the check as a self-contained HTML page.
+def page(check: Check) -> Page:
+    """Return the page of a check.
 
     Args:
         check: result of `pitp check` for a set.
@@ -32,7 +30,7 @@ def page(check: Check) -> str:
         [
             Section("Problems of single recordings", [problems]),
             Section("Corrected while reading", [check.repaired]),
-            Section("Records", [_table(check)]),
+            Section("Records", [table(check)]),
             Section("Coverage", [_coverage(check)]),
             Section("The recordings as read", [
                 [_drawn(f"r{k}", r, check.records[r.name]) for k, r in enumerate(shown)],
@@ -40,10 +38,11 @@ def page(check: Check) -> str:
             ]),
         ],
         "open" if wrong else "good",
-    ).html()  # fmt: skip
+    )  # fmt: skip
 
 
-def _table(check: Check) -> Table:
+def table(check: Check) -> Table:
+    """Return the table of the recordings, for the page and the terminal."""
     header = (
         "record", "drive", "band (Hz)", "samples", "rate (Hz)", "begins", "zero", "direction", "noise", "missing",
         "outliers", "read as",
@@ -75,13 +74,14 @@ def _coverage(check: Check) -> list[Picture]:
     c = check.coverage
     if c is None:
         return []
-    ax, drive = new_axes(1, 2.6)[0], Units(Quantity(c.unit)).input
+    (ax,) = axes = new_axes(1, 2.6)
+    drive = Units(Quantity(c.unit)).input
     for low, high in c.gaps:
         ax.axvspan(low, high, 0.5, 1.0, color="#e69f00", alpha=0.35, lw=0)
     ax.scatter(c.points[:, 0], drive.shown(c.points[:, 1]), s=6, color=PREDICTED, lw=0)
     ax.axvline(c.resonance, color="#000000", lw=0.8, ls="--")
     ax.set(xscale="log", ylim=(0, 1.05 * drive.shown(c.largest)))
-    finish(np.array([ax]), "frequency of the force (Hz)", [f"amplitude of the input ({shown_unit(drive.unit)})"])
+    finish(axes, "frequency of the force (Hz)", [f"amplitude of the input ({shown_unit(drive.unit)})"])
     caption = (
         "Excited frequencies and amplitudes, one point a time window. Dashed: the resonance. Shaded: nothing exceeds "
         "half the amplitude."

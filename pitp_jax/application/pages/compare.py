@@ -3,10 +3,8 @@
 from collections import Counter
 from dataclasses import replace
 
-import numpy as np
-
 from ...common.numbers import number, shown_unit
-from ...common.page import Section
+from ...common.page import Page, Section
 from ...common.picture import Picture
 from ...common.units import from_base
 from ..compare.pairing import Pair
@@ -16,13 +14,11 @@ from .drawing import PREDICTED, beside, some_periods
 _DRAWN = 12  # pairs of recordings
 
 
-def page(result: Comparison, drawn: list[Picture] | None = None) -> str:
-    """Write the comparison as a self-contained HTML page; `drawn` holds its `figures`, or None to draw them."""
+def page(result: Comparison) -> Page:
+    """Return the page of a comparison, with every pair of recordings drawn."""
     alike = Section("No difference, or not judged", [result.table([r for r in result.rows if not r.differs])])
-    shown = figures(result) if drawn is None else drawn
-    return replace(
-        result.summary(), rest=[alike, Section("The same command, one output over the other", [shown])]
-    ).html()
+    overlaid = Section("The same command, one output over the other", [figures(result)])
+    return replace(result.summary(), rest=[alike, overlaid])
 
 
 def figures(result: Comparison) -> list[Picture]:
@@ -35,12 +31,13 @@ def figures(result: Comparison) -> list[Picture]:
 
 def overlay(pair: Pair, names: tuple[str, str], kind: str, several: bool = False) -> Picture:
     """Draw the outputs of a pair over time, and their difference, both without the constant offset between them."""
-    unit, label = pair.first.displacement_unit, shown_unit(pair.first.displacement_unit)
-    one, two = (np.asarray(from_base(y, unit)) for y in (pair.first.displacement, pair.output()))
-    offset = float(from_base(pair.output_offset, unit))
-    labels = (f"output ({label})", f"difference ({label})")
-    drawn = beside(pair.first.time, (names[0], one), [(names[1], two - offset, PREDICTED)], labels, some_periods(one))
+    unit = pair.first.displacement_unit
+    one, two = pair.first.displacement, pair.output()
+    run = names[1], two - pair.output_offset, PREDICTED
+    drawn = beside(pair.first.time, (names[0], one), [run], unit, ("output", "difference"), some_periods(one))
     name = f"{pair.first.name}_{pair.second.name}" if several else pair.first.name
-    columns = {"time_s": pair.first.time - pair.first.time[0], f"a_{unit}": one, f"b_{unit}": two}
-    caption = f"{pair.first.name}: {names[1]} is drawn without its constant offset of {number(offset, 3)} {label}"
+    columns = {"time_s": pair.first.time - pair.first.time[0]}
+    columns |= {f"a_{unit}": from_base(one, unit), f"b_{unit}": from_base(two, unit)}
+    offset = f"{number(float(from_base(pair.output_offset, unit)), 3)} {shown_unit(unit)}"
+    caption = f"{pair.first.name}: {names[1]} is drawn without its constant offset of {offset}"
     return Picture(f"{kind}_{name.replace('/', '_')}", drawn, caption, columns)

@@ -1,17 +1,25 @@
-"""Draw signals over time: some alone, some beside a measurement with their errors below."""
+"""Draw signals over time, alone or beside a measurement with errors below; write pages with their figures.
 
-from collections.abc import Sequence
+The numbers of a figure are a table: every line, point and bar of all axes.
+"""
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 
 from ...common.numbers import shown_unit
-from ...common.picture import figure_of, finish, new_axes, thin
+from ...common.page import Page, Section
+from ...common.picture import Picture, figure_of, finish, new_axes, thin
 from ...common.units import base_unit, from_base
+from ...files.recordings.writing import write_csv, write_text_atomic
 
 MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  # grey; Okabe and Ito's palette
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
+FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 TIME = "time from the start (s)"
 _PERIODS, _DRAWN_PERIODS = 25, 12  # of a sine: more than the first make a solid block; the second is then drawn
 
@@ -54,23 +62,28 @@ def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
     return voltage, "voltage (V)"
 
 
-def beside(time, measured, runs: Sequence[tuple[str, np.ndarray, str]], labels: Sequence[str], part=slice(None)):
+def beside(
+    time, measured, runs: Sequence[tuple[str, np.ndarray, str]], unit: str, words: Sequence[str] = ("output", "error"),
+    part=slice(None),
+) -> Figure:  # fmt: skip
     """Draw runs over a measured signal, and below them their errors; return the figure.
 
     Args:
         time: sample times (s), shape (T,); the axis counts from the first.
-        measured: name and values, shape (T,), of the signal drawn wide and grey.
-        runs: name, values (T,) and colour of each run.
-        labels: of the two axes.
+        measured: name and values (base unit), shape (T,), of the signal drawn wide and grey.
+        runs: name, values (base unit) (T,) and colour of each run.
+        unit: in which they are shown.
+        words: for the two axes.
         part: samples to draw.
     """
     axes, name = new_axes(2, 3.2, (2.2, 1.0)), measured[0]
-    across, reference = np.asarray(time - time[0])[part], measured[1][part]
+    across, reference = np.asarray(time - time[0])[part], from_base(measured[1], unit)[part]
     line(axes[0], across, reference, color=MEASURED, lw=2.4, label=name)
     for label, values, color in runs:
-        line(axes[0], across, values[part], color=color, lw=1.0, label=label)
-        line(axes[1], across, values[part] - reference, color=color if len(runs) > 1 else ERROR, lw=0.8)
-    finish(axes, TIME, labels)
+        shown = from_base(values, unit)[part]
+        line(axes[0], across, shown, color=color, lw=1.0, label=label)
+        line(axes[1], across, shown - reference, color=color if len(runs) > 1 else ERROR, lw=0.8)
+    finish(axes, TIME, [f"{word} ({shown_unit(unit)})" for word in words])
     return figure_of(axes)
 
 
@@ -88,3 +101,60 @@ def signals(time, panels: Sequence[tuple[str, np.ndarray, str]], heights=None, p
         line(ax, np.asarray(time - time[0])[part], values[part], color=color, lw=0.9)
     finish(axes, TIME, [label for label, *_ in panels])
     return figure_of(axes)
+
+
+def write_page(file: Path, page: Page) -> None:
+    """Write a page, and its figures into `figures/` beside it.
+
+    Raises:
+        BadInput: a file cannot be written.
+    """
+    for picture in _pictures([*page.first, *page.rest]):
+        write_picture(file.parent, picture)  # before the page, which makes it small
+    write_text_atomic(file, page.html())
+
+
+def _pictures(part) -> Iterator[Picture]:
+    if isinstance(part, Picture):
+        yield part
+    elif isinstance(part, Section | list):
+        for inner in getattr(part, "parts", part):
+            yield from _pictures(inner)
+
+
+def write_picture(folder: Path, picture: Picture) -> None:
+    """Write `figures/NAME.png` and the numbers of the figure as `figures/NAME.csv` into a folder.
+
+    Args:
+        folder: where `figures/` is made if it is missing.
+        picture: the figure; without columns the numbers are those of its axes (axes, series, x, y).
+
+    Raises:
+        BadInput: a file cannot be written.
+    """
+    file = folder / FIGURES / f"{picture.name}.png"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    picture.drawn.savefig(file, dpi=150)
+    table = file.with_name(f"{file.name.removesuffix('.png')}.csv")
+    if picture.columns is not None:
+        write_csv(table, picture.columns)
+        return
+    rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(picture.drawn)]
+    write_text_atomic(table, "\n".join(["axes,series,x,y", *rows]) + "\n")
+
+
+def _rows(drawn: Figure) -> Iterator[tuple[str, str, float, float]]:
+    for k, ax in enumerate(drawn.axes):
+        axes = ax.get_ylabel() or f"axes {k + 1}"
+        for n, line in enumerate(ax.lines):
+            label = str(line.get_label())
+            series = f"line {n + 1}" if label.startswith("_") else label
+            for x, y in zip(*(np.asarray(v, float) for v in line.get_data()), strict=True):
+                yield axes, series, float(x), float(y)
+        for patch in ax.patches:
+            if isinstance(patch, Rectangle):
+                yield axes, "bar", patch.get_x() + patch.get_width() / 2, patch.get_y() + patch.get_height()
+
+
+def _quoted(text: str) -> str:
+    return '"' + " ".join(text.replace('"', "'").split()) + '"'

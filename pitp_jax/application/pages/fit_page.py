@@ -11,10 +11,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import scipy
-from matplotlib.axes import Axes
 
 from ...common.numbers import figure, shown_unit
-from ...common.page import Card, Page, Section, Table
+from ...common.page import Card, Page, Section
 from ...common.picture import Picture, figure_of, finish, new_axes
 from ...common.units import from_base
 from ...method.model.fitted import Fitted
@@ -26,6 +25,7 @@ from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction, predict
 from ..compare.description import fallback_line
 from .drawing import CYCLE, ERROR, MEASURED, PREDICTED, beside
+from .tables import scores as scores_table
 
 _KNOWN = 0.5  # standard error of ln tau above which a time constant counts as unknown
 _SHOWN = 12  # records drawn, the worst first
@@ -33,8 +33,8 @@ _SHOWN = 12  # records drawn, the worst first
 
 def fit_page(
     model: Fitted, records: Sequence[Record], predictions: Sequence[Prediction], scores: dict, name: str
-) -> str:
-    """Write an HTML page that compares simulations of a trained model with records.
+) -> Page:
+    """Return the page that compares simulations of a trained model with records.
 
     Args:
         model: the fitted model.
@@ -55,11 +55,11 @@ def fit_page(
         [fallback_line(model.origin.training) or "", _cards(model, records, predictions, scores), pictures],
         [
             Section("Recordings, the worst first", [
-                _table([r for _, r, _ in runs], scores),
+                scores_table((r.name for _, r, _ in runs), scores, {}),
                 [_run(f"run{k}", *run) for k, run in enumerate(shown)],
             ])
         ],
-    ).html()  # fmt: skip
+    )  # fmt: skip
 
 
 def _error(row: dict) -> float:
@@ -72,10 +72,6 @@ def _cards(model: Fitted, records, predictions, scores) -> list[Card]:
     where = f", most in {farthest.name}: {farthest.outside_training}" if farthest.outside_training else ""
     lines = [f"{figure(outside, 2)} % lie outside the trained region{where}."]
     lines += [f"{p.name}: {p.not_excited}" for p in predictions if p.not_excited][:3]
-    if moving := sum(p.begins != "rest" for p in predictions):
-        lines.append(f"{moving} of {len(predictions)} do not start at rest.")
-    if lost := sum(p.diverged for p in predictions):
-        lines.append(f"{lost} diverged.")
     nrmse = [row["nrmse_percent"] for row in scores.values() if row["nrmse_percent"] is not None]
     big = f"{figure(float(np.median(nrmse)), 2)} % of std" if nrmse else "–"
     fading = memory_times(model, records, predictions)
@@ -129,16 +125,14 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
 
 
 def _run(name: str, error: float, record: Record, run: Prediction) -> Picture:
-    unit = record.displacement_unit
-    measured, predicted = (from_base(x, unit) for x in (record.displacement, run.displacement))
-    labels = (f"output ({shown_unit(unit)})", f"error ({shown_unit(unit)})")
-    drawn = beside(record.time, ("measured", measured), [("predicted", predicted, PREDICTED)], labels)
+    measured, predicted = ("measured", record.displacement), ("predicted", run.displacement, PREDICTED)
+    drawn = beside(record.time, measured, [predicted], record.displacement_unit)
     return Picture(name, drawn, f"{record.name}: {figure(error, 2)} % of range.")
 
 
 def _map(records: Sequence[Record], errors: Sequence[float]) -> Picture:
     """Draw one dot per record by frequency and stroke, coloured by the kind of input, with the error as text."""
-    ax: Axes = new_axes(1, 3.0)[0]
+    (ax,) = axes = new_axes(1, 3.0)
     unit, kinds = records[0].displacement_unit, [kind(r) for r in records]
     colors = dict(zip(dict.fromkeys(kinds), CYCLE * len(kinds), strict=False))
     for k, (record, name) in enumerate(zip(records, kinds, strict=True)):
@@ -147,13 +141,13 @@ def _map(records: Sequence[Record], errors: Sequence[float]) -> Picture:
         ax.plot(*place, "o", ms=4, color=colors[name], label=label)
         ax.annotate(figure(errors[k], 2), place, (3, 3), textcoords="offset points", fontsize=7)
     ax.set_xscale("log")
-    finish(np.array([ax]), "strongest frequency of the input (Hz)", [f"stroke ({shown_unit(unit)})"])
+    finish(axes, "strongest frequency of the input (Hz)", [f"stroke ({shown_unit(unit)})"])
     return Picture("map", figure_of(ax), "Error, % of range, by the input's strongest frequency and by the stroke.")
 
 
 def _spectra(pairs: Sequence[tuple[Record, Prediction]]) -> Picture:
     """Draw the spectra of output and error, as medians over records of one sampling rate."""
-    ax: Axes = new_axes(1, 3.0)[0]
+    (ax,) = axes = new_axes(1, 3.0)
     unit, size = pairs[0][0].displacement_unit, min(4096, *(r.samples for r, _ in pairs))
 
     def density(values: np.ndarray, dt: float):
@@ -164,7 +158,7 @@ def _spectra(pairs: Sequence[tuple[Record, Prediction]]) -> Picture:
     for color, label, rows in ((MEASURED, "measured", outputs), (ERROR, "error of the free runs", errors)):
         root = np.sqrt(np.median([power[1:] for _, power in rows], axis=0))
         ax.loglog(rows[0][0][1:], root, color=color, lw=1.1, label=label)
-    finish(np.array([ax]), "frequency (Hz)", [f"density ({shown_unit(unit)}/√Hz)"])
+    finish(axes, "frequency (Hz)", [f"density ({shown_unit(unit)}/√Hz)"])
     caption = (
         "Spectra of the measured output and of the error of the free runs. A flat error spectrum is noise; a peak at "
         "the input's frequency or at the resonance shows that the model lacks something."
@@ -174,7 +168,7 @@ def _spectra(pairs: Sequence[tuple[Record, Prediction]]) -> Picture:
 
 def _tokens(model: Fitted) -> Picture:
     """Draw the factor on each nominal coefficient at standstill over the trained displacements."""
-    ax: Axes = new_axes(1, 3.0)[0]
+    (ax,) = axes = new_axes(1, 3.0)
     low, high = model.domain.region[0]
     x = jnp.linspace(low, high, 60)
 
@@ -186,19 +180,6 @@ def _tokens(model: Fitted) -> Picture:
     across = from_base(np.asarray(x, np.float64) * float(model.scales.state[0]), unit)
     for k, color in zip(range(model.order + 1), CYCLE, strict=False):
         ax.plot(across, factors[:, k], color=color, lw=1.2, label=f"of a{k}")
-    finish(np.array([ax]), f"{units_of(model).output_word} ({shown_unit(unit)})", ["factor"])
+    finish(axes, f"{units_of(model).output_word} ({shown_unit(unit)})", ["factor"])
     caption = "Factors on the nominal model's coefficients at standstill, settled, over the trained stroke."
     return Picture("tokens", figure_of(ax), caption)
-
-
-def _table(records: Sequence[Record], scores: dict) -> Table:
-    rows = []
-    for r in records:
-        s = scores[r.name]
-        keys = ("e_rms_percent", "nrmse_percent", "rmse", "zero_fitted_e_rms_percent")
-        values = ("diverged",) * 4 if s["diverged"] else tuple(s[key] for key in keys)
-        rows.append((r.name, s["begins"], *values, figure(100 * s["outside_training_share"], 2)))
-    header = (
-        "recording", "begins", "error, % of range", "% of std", "rmse", "with fitted sensor offset, %", "outside, %",
-    )  # fmt: skip
-    return Table(header, rows, text=(0, 1))

@@ -1,20 +1,11 @@
 """Write the page of a verification: errors before and after the change, and every recording with MuJoCo's response."""
 
-from collections.abc import Sequence
-
-from ...common.numbers import shown_unit
 from ...common.page import Page, Section, Table
 from ...common.picture import Picture
-from ...common.units import from_base
 from ...files.mjcf.verify import Played, Verification
 from .drawing import ERROR, PREDICTED, beside, some_periods
 
 _DRAWN = 12  # recordings
-
-
-def figures(verified: Verification) -> list[Picture]:
-    """Draw the first recordings with MuJoCo's response and its error, before and after."""
-    return [_drawn(p) for p in verified.played[:_DRAWN]]
 
 
 def table(verified: Verification) -> Table:
@@ -30,8 +21,8 @@ def table(verified: Verification) -> Table:
     return Table(header, rows, note, bold, (0, 1))
 
 
-def page(verified: Verification, drawn: Sequence[Picture]) -> str:
-    """Write the verification as an HTML page with the given figures."""
+def page(verified: Verification) -> Page:
+    """Return the page of a verification, with the first recordings and MuJoCo's responses drawn."""
     headline = {
         True: "The changed file is closer to the robot",
         False: "The changed file is not closer to the robot",
@@ -39,15 +30,15 @@ def page(verified: Verification, drawn: Sequence[Picture]) -> str:
     }[verified.better]
     kind = f"Joint {verified.joint} of {verified.mjcf}, MuJoCo {verified.version}"
     lines = [text.replace("->", "→") for text in verified.lines()]
-    return Page(headline, kind, [lines, table(verified)], [Section("Recordings", [drawn])]).html()
+    drawn = [_drawn(p) for p in verified.played[:_DRAWN]]
+    return Page(headline, kind, [lines, table(verified)], [Section("Recordings", [drawn])])
 
 
 def _drawn(played: Played) -> Picture:
-    record, unit = played.record, played.record.displacement_unit
+    record = played.record
     runs = [("MuJoCo, before", played.before, ERROR), ("MuJoCo, after", played.after, PREDICTED)]
-    shown = [(label, from_base(values, unit), color) for label, values, color in runs if values is not None]
-    labels = (f"position ({shown_unit(unit)})", f"error ({shown_unit(unit)})")
-    measured = from_base(record.displacement, unit)
-    drawn = beside(record.time, ("robot", measured), shown, labels, some_periods(record.displacement))
+    shown = [run for run in runs if run[1] is not None]
+    measured, part = ("robot", record.displacement), some_periods(record.displacement)
+    drawn = beside(record.time, measured, shown, record.displacement_unit, ("position", "error"), part)
     caption = f"{record.name}: robot and MuJoCo under the same command; below: MuJoCo minus robot"
     return Picture(record.name.lstrip("/"), drawn, caption)

@@ -11,8 +11,8 @@ from ..plan.strokes import LEAST_DAMPING
 from .drawing import DRIVE, signals, volts
 
 
-def page(plan: Plan, model: str = "") -> str:
-    """Write the plan as a self-contained HTML page.
+def page(plan: Plan, model: str = "") -> Page:
+    """Return the page of a plan.
 
     Args:
         plan: result of `plan`.
@@ -25,7 +25,7 @@ def page(plan: Plan, model: str = "") -> str:
         drawn.append(Picture(f"drive{k}", signals(r.time, [(label, voltage, DRIVE)]), f"{r.name}: {r.kind}"))
     kind = f"Plan of recordings{f' for {model}' if model else ': a first session'}"
     rest = [Section("What to play", [table(plan), drawn]), Section("How to read this", _reading(plan))]
-    return Page(headline(plan, bool(model)), kind, [_lead(plan), _cards(plan)], rest).html()
+    return Page(headline(plan, bool(model)), kind, [_lead(plan), _cards(plan)], rest)
 
 
 def headline(plan: Plan, modelled: bool) -> str:

@@ -6,7 +6,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
@@ -54,14 +53,14 @@ def figures(d: Diagnosis) -> dict[str, Picture]:
 
 def gap(d: Diagnosis) -> tuple[Figure, str]:
     """Draw measured, nominal and returned output of the worst held-out record, with both errors below."""
-    (scale, unit), trace = scaling(units_of(d.model).output), worst(d)
-    runs = [("model, refitted" if refitted(d) else "model as given", scale * trace.nominal, ERROR)]
+    units, trace = units_of(d.model), worst(d)
+    runs = [("model, refitted" if refitted(d) else "model as given", trace.nominal, ERROR)]
     if d.handed_back or d.effects:
         added = "all effects" if len(d.effects) > 1 else "".join(d.effects)
         label = f"with {added}" if added else "best candidate" if d.term is None else "with the found equation"
-        runs.append((label, scale * trace.augmented, PREDICTED))
-    labels = (f"{units_of(d.model).output_word} ({unit})", f"error ({unit})")
-    drawn = beside(trace.time, ("measured", scale * trace.measured), runs, labels, telling(trace))
+        runs.append((label, trace.augmented, PREDICTED))
+    words, measured = (units.output_word, "error"), ("measured", trace.measured)
+    drawn = beside(trace.time, measured, runs, units.output.unit, words, telling(trace))
     side = "held out" if d.heldout else "no recording was held out"
     return drawn, f"{trace.name} ({side}), the part with the largest error. Below: model minus measurement."
 
@@ -86,7 +85,7 @@ def _loudest(e: np.ndarray, width: int) -> int:
 
 def where_map(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the missing force by input frequency and amplitude, one square a visited cell."""
-    ax: Axes = new_axes(1, 3.2)[0]
+    (ax,) = axes = new_axes(1, 3.2)
     cells, (scale, unit) = d.where["cells"], scaling(units_of(d.model).output)
     bands = sorted({(*c["band_hz"],) for c in cells})
     sizes = sorted({(*c["amplitude"],) for c in cells})
@@ -100,7 +99,7 @@ def where_map(d: Diagnosis) -> tuple[Figure, str]:
             text = percent(cell["share"])
             ax.text(i + 0.5, j + 0.5, text, ha="center", va="center", fontsize=7.5, color="#1a1a1a")
     ax.set(xlim=(0, max(len(bands), 1)), ylim=(0, max(len(sizes), 1)))
-    finish(np.array([ax]), "frequency of the input (Hz)", [f"amplitude ({unit})"])
+    finish(axes, "frequency of the input (Hz)", [f"amplitude ({unit})"])
     ax.grid(visible=False)
     ax.set_xticks(*_edges(bands, 1.0))
     ax.set_yticks(*_edges(sizes, scale))
@@ -121,7 +120,7 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
     rows = [("all reported", d.gap)] if len(d.effects) > 1 and d.gap.closed_fraction is not None else []
     best = {r.effect: r for r in reversed(d.ranking) if r.closed_fraction is not None}  # of a name its best form
     rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: _ROWS - len(rows)]
-    ax: Axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))[0]
+    (ax,) = axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))
     for k, (name, r) in enumerate(rows):
         color = TIED if name in d.equivalent else MEASURED
         color = PREDICTED if name in d.effects or r is d.gap else color
@@ -132,7 +131,7 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
         ax.text(1.03, k, fraction_closed(r.closed_fraction) + tied, va="center", fontsize=_SMALL)
     if not rows:
         ax.text(0.5, 0.5, "no gap to close", ha="center", va="center", fontsize=_SMALL + 1)
-    finish(np.array([ax]), "fraction of the held-out gap closed", [""])
+    finish(axes, "fraction of the held-out gap closed", [""])
     ax.set_yticks(range(len(rows)), [name for name, _ in rows])
     ax.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
     ax.set(xlim=(0, 1.02), ylim=(max(len(rows), 1) - 0.4, -0.6))
@@ -198,8 +197,7 @@ def _bars(d: Diagnosis, panels: Sequence[tuple[str, str, float, str]], color: st
 def excitation(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the voltage (V or kV) of the proposed next experiment over time (s)."""
     e = d.next_experiment
-    if e is None:
-        raise ValueError("this diagnosis proposes no further experiment")
+    assert e is not None  # otherwise this figure is not asked for
     voltage, label = volts(e.voltage, d.model.origin.voltage_unit)
     return signals(e.time, [(label, voltage, DRIVE)]), f"To play: {e.excitation}."
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from ....common.numbers import figure, interval, of_range, percent
-from ....common.page import Card, Section, Table
+from ....common.page import Card, Page, Section, Table
 from ....common.picture import Picture
 from ....method.diagnose import rules
 from ....method.diagnose.diagnosis import Diagnosis
@@ -16,25 +16,20 @@ from .figures import by_closed_fraction, figures, fraction_closed, refitted, sca
 _NEAREST = 3  # candidates named on a card
 
 
-def report(d: Diagnosis, drawn: dict[str, Picture] | None = None) -> str:
-    """Write a self-contained HTML page: verdict, location, cause and reduction of the gap, figures, tables.
-
-    Args:
-        d: result of `diagnose`.
-        drawn: its `figures`, which are reduced in size; None draws them.
-    """
-    drawn = figures(d) if drawn is None else drawn
+def report(d: Diagnosis) -> Page:
+    """Return the page of a diagnosis: verdict, location, cause and reduction of the gap, figures, tables."""
+    drawn = figures(d)
     sections = [
         [_where(d), _which(d), _how_far(d)],
         Section("The gap at a glance", [[drawn[name] for name in ("gap", "ranking") if name in drawn]]),
         Section("Where it lies", [[drawn[name] for name in ("where", "shares", "force") if name in drawn]]),
         *_next(d, drawn),
         Section("Parts of the gap", [budget_table(d.budget)]),
-        Section("All candidates", [_ranking(d)]),
+        Section("All candidates", [ranking(d)]),
         Section("Recordings", [_records(d), [f"Note: {line}{'' if line[-1:] in '.?' else '.'}" for line in d.notes]]),
         _reading(),
     ]
-    return replace(summary(d), rest=sections).html()
+    return replace(summary(d), rest=sections)
 
 
 def _where(d: Diagnosis) -> Card:
@@ -111,7 +106,8 @@ def _next(d: Diagnosis, drawn: dict[str, Picture]) -> list[Section]:
     return [Section("The next experiment", [text, [drawn["next_experiment"]]])]
 
 
-def _ranking(d: Diagnosis) -> Table:
+def ranking(d: Diagnosis) -> Table:
+    """Return the table of all candidates, for the page and the terminal."""
     rows = []
     if len(d.effects) > 1:
         rows.append((" + ".join(d.effects), "together", "", None, d.gap.after, _closed(d.gap)))
@@ -140,9 +136,9 @@ def _records(d: Diagnosis) -> Table:
     rows, of_gap = [], d.where["records"]
     for t in sorted(d.traces, key=lambda t: -of_gap.get(t.name, 0.0)):
         before, after = errors(t)
-        span = float(np.ptp(t.measured[seen])) if (seen := np.isfinite(t.measured)).any() else None
+        span = float(np.nanmax(t.measured) - np.nanmin(t.measured))
         used, seconds = "held out" if t.heldout else "fitted", float(t.time[-1] - t.time[0])
-        numbers = (seconds, None if span is None else scale * span, before, after)
+        numbers = (seconds, scale * span, before, after)
         rows.append((t.name, used, str(len(t.time)), *numbers, percent(of_gap.get(t.name))))
     header = (
         "recording", "used", "samples", "length (s)", f"range ({unit})", "model, error %", "after, error %",
