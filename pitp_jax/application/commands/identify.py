@@ -61,7 +61,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
             write_text_atomic(stage / REPORT, bode_page(identified, out).html())
     if identified.warning:
         print(f"warning: {identified.warning}")
-    print_table(orders_table(identified))
+    print_table(orders_table(identified), 3)
     print_model(identified.model, summary)
     if identified.chosen.delay:
         print(delay_text(identified))
@@ -70,7 +70,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         print(remark)
     if scores:
         print("validated on:")
-        print_table(scores_table(scores, scores, {}))
+        print_table(scores_table(scores, scores, {}), 3)
     return 0 if identified.explains else 3
 
 

@@ -140,7 +140,7 @@ def _shown(expected: Expected | None, prediction: Prediction) -> str:
 
 def _print_scores(result: dict, predictions: Sequence[Prediction], expected: Sequence[Expected | None]) -> None:
     shown = {p.name: _shown(e, p) for e, p in zip(expected, predictions, strict=True)}
-    print_table(scores_table(shown, result["records"], shown))
+    print_table(scores_table(shown, result["records"], shown), 3)
     median = result["median_e_rms_percent"]
     infinite = any(row["diverged"] for row in result["records"].values())
     print(f"median e_rms: {'infinite' if median is None and infinite else number(median, 3)} %")
