@@ -1,5 +1,7 @@
 """The suite's own checks of shapes: a call like an earlier one is not checked again, anything else is."""
 
+from dataclasses import dataclass
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -60,3 +62,30 @@ def test_traced_arrays_are_checked():
     assert jax.eval_shape(checked, one, one).shape == (1,)
     with pytest.raises(TypeCheckError):
         jax.eval_shape(checked, one, other)
+
+
+def test_an_inner_function_is_checked_in_every_definition_and_runs_as_defined():
+    def define(factor):
+        def scaled(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+            return factor * x
+
+        return typecheck.remembering(scaled, typechecker=typecheck.check)
+
+    assert [define(factor)(ONE)[0] for factor in (1.0, 2.0, 3.0)] == [3.0, 6.0, 9.0]
+    with pytest.raises(TypeCheckError, match="return"):
+        define(np.ones((2, 1)))(ONE)
+    with pytest.raises(TypeCheckError, match="parameters"):
+        define(1.0)([3.0])
+
+
+def test_the_fields_of_a_dataclass_are_checked():
+    @dataclass(frozen=True)
+    class Pair:
+        x: Float[np.ndarray, " n"]
+        y: Float[np.ndarray, " n"]
+
+    kind = typecheck.remembering(Pair, typechecker=typecheck.check)
+    for _ in range(2):
+        assert kind(ONE, ONE).y is ONE
+        with pytest.raises(TypeCheckError):
+            kind(ONE, TWO)

@@ -5,7 +5,9 @@ What it finds depends on types, shapes and dtypes alone. So a call like an earli
 one's, is not checked again. All other modules are checked by beartype alone.
 """
 
+import dataclasses
 import inspect
+import threading
 from functools import partial, wraps
 from importlib.util import find_spec
 from pathlib import Path
@@ -74,23 +76,60 @@ def told(value):
 
 
 _checked = jaxtyping.jaxtyped
+_checks: dict[tuple, "_Check"] = {}
 
 
-def remembering(fn=None, *, typechecker):
+class _Check:
+    """The check of all functions of one definition: an inner one is defined anew in each call of the outer one.
+
+    It is generated for the first call: a process of the suite calls some of the functions only.
+    """
+
+    def __init__(self, fn, typechecker):
+        self.seen, self.checked, self.typechecker = {}, None, typechecker  # calls, each with its results
+        self.running = running = threading.local()
+
+        def run(*args, **options):
+            return running.fn(*args, **options)
+
+        # the same signature and the same names as of `fn`, without what it closes over
+        self.known = FunctionType(run.__code__, fn.__globals__, fn.__name__, None, run.__closure__)
+        self.known.__module__, self.known.__qualname__ = fn.__module__, fn.__qualname__
+        self.known.__signature__ = inspect.signature(fn)
+
+    def __call__(self, fn, args, options):
+        """The result of `fn`, with its arguments and its result checked."""
+        if self.checked is None:
+            self.checked = _checked(self.known, typechecker=self.typechecker)
+        before, self.running.fn = getattr(self.running, "fn", None), fn
+        try:
+            return self.checked(*args, **options)
+        finally:
+            self.running.fn = before
+
+
+def _of_init(kind: Any, typechecker):
+    """A class whose generated `__init__` is checked, as jaxtyping checks that of a dataclass."""
+    if dataclasses.is_dataclass(kind) and getattr(kind.__init__, "__globals__", {}) is not globals():
+        kind.__init__ = remembering(kind.__init__, typechecker=typechecker)
+    return kind
+
+
+def remembering(fn: Any = None, *, typechecker) -> Any:
     """`jaxtyping.jaxtyped` that does not check a call like an earlier one again."""
     if fn is None:
         return partial(remembering, typechecker=typechecker)
-    checked = _checked(fn, typechecker=typechecker)
+    if inspect.isclass(fn):
+        return _of_init(fn, typechecker)
     if not inspect.isfunction(fn):
-        return checked
-    seen, given = {}, []  # calls, each with its results
-
-    def result(*_, **__):
-        return given[-1]
-
-    # the same signature and the same names, so that a result can be checked by itself
-    known = FunctionType(result.__code__, fn.__globals__, fn.__name__, None, result.__closure__)
-    of_result = _checked(wraps(fn)(known), typechecker=typechecker)
+        return _checked(fn, typechecker=typechecker)
+    if not fn.__annotations__:
+        return fn
+    definition = (typechecker, fn.__module__, fn.__qualname__, fn.__code__, repr(fn.__annotations__))
+    check = _checks.get(definition)
+    if check is None:
+        check = _checks[definition] = _Check(fn, typechecker)
+    seen = check.seen
 
     @wraps(fn)
     def call(*args, **options):
@@ -101,8 +140,8 @@ def remembering(fn=None, *, typechecker):
             key = (*map(told, args), *options, *map(told, options.values()))
             results = seen.get(key)
         except (LookupError, TypeError):
-            return checked(*args, **options)
-        out = (fn if results else checked)(*args, **options)
+            return check(fn, args, options)
+        out = fn(*args, **options) if results else check(fn, args, options)
         try:
             found = told(out)
         except LookupError:
@@ -110,11 +149,7 @@ def remembering(fn=None, *, typechecker):
         if not results:
             seen[key] = {None, found}
         elif found is None or found not in results:
-            given.append(out)
-            try:
-                of_result(*args, **options)
-            finally:
-                given.pop()
+            check(lambda *_, **__: out, args, options)
             results.add(found)
         return out
 
