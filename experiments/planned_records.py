@@ -21,7 +21,7 @@ import numpy as np
 from _show import show
 
 import pitp_jax as pitp
-from pitp_jax.application.plan.expected_error import knowledge, motions
+from pitp_jax.application.plan.expected_error import information, knowledge
 from pitp_jax.application.plan.next_recordings import variance
 
 BAND = {"cone": (0.5, 10.0), "roll": (5.0, 130.0)}
@@ -62,9 +62,9 @@ def fitted(nominal, records, seed: int, settings) -> pitp.Model:
 def best_of(model, records, pool) -> pitp.Record:
     """The recording of a pool whose voltage lowers the expected error on all of them most."""
     known, dt = knowledge(model.model, records), pool[0].dt
-    information = motions(model.model, [r.voltage for r in pool], dt, floor=known.floor).information
-    offered = [r.samples * dt * m for r, m in zip(pool, information, strict=True)]
-    predicted = np.mean(information, axis=0)
+    found = information(model.model, [r.voltage for r in pool], dt, known.floor)
+    offered = [r.samples * dt * m for r, m in zip(pool, found, strict=True)]
+    predicted = np.mean(found, axis=0)
     return pool[int(np.argmin([variance(known.precision + m, predicted) for m in offered]))]
 
 

@@ -16,8 +16,9 @@ from pitp_jax import rest_state
 from pitp_jax.application.commands.main import main
 from pitp_jax.application.commands.plan import _sorted
 from pitp_jax.application.pages.plan import page
-from pitp_jax.application.plan.expected_error import knowledge, motions
+from pitp_jax.application.plan.expected_error import information, knowledge
 from pitp_jax.application.plan.next_recordings import choose, greedy, variance
+from pitp_jax.application.plan.strokes import strokes
 from pitp_jax.method.fit.parameters import parameters, with_parameters
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.origin import Origin
@@ -194,14 +195,16 @@ def test_a_runs_information_is_that_of_its_jacobian(model, records):
     def reading(p):
         return ports.readings(model, rollout(with_parameters(model, p), u, 5e-3, rest_state(model)))
 
-    told = motions(model, [records[0].voltage], 5e-3)
+    (told,) = information(model, [records[0].voltage], 5e-3)
     along = jax.jit(lambda v: jax.jvp(reading, (here,), (v,)))
     for seed in range(3):
         v = np.random.default_rng(seed).standard_normal(len(here))
         x, moved = (np.asarray(a, np.float64) for a in along(jnp.asarray(v, jnp.float32)))
         wanted = 1e4 * every / len(x) / np.ptp(x) ** 2 * np.sum(moved[::every] ** 2)
-        assert v @ told.information[0] @ v == pytest.approx(wanted, rel=2e-3)
-    assert told.stroke[0] == pytest.approx(1e-3 * np.abs(read(model, u)).max(), rel=1e-4)
+        assert v @ told @ v == pytest.approx(wanted, rel=2e-3)
+    assert strokes(model, [records[0].voltage], 5e-3)[0, 0] == pytest.approx(
+        1e-3 * np.abs(read(model, u)).max(), rel=1e-4
+    )
 
 
 @pytest.mark.slow
@@ -214,8 +217,8 @@ def test_the_next_recordings_lower_the_expected_error(model, following):
 @pytest.mark.slow
 def test_nothing_is_left_to_learn_where_everything_is_known(model, records):
     known, dt = knowledge(model, records), 5e-3
-    told = motions(model, [r.voltage for r in records], dt, floor=known.floor)
-    seconds = np.array([3.0, 3.0])
+    told = information(model, [r.voltage for r in records], dt, known.floor)
+    seconds = 3.0
     vague, sure = (replace(known, precision=k * known.precision) for k in (1e-6, 1e9))
     assert greedy(vague, told, told, seconds, 1)[2] == 1
     places, expected, worth = greedy(sure, told, told, seconds, 2)

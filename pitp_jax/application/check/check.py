@@ -8,8 +8,7 @@ A record that cannot be used is reported and left out of the checks of the set, 
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,59 +16,15 @@ from ...common.numbers import number
 from ...common.shown import Shown
 from ...common.units import base_unit, from_base
 from ...files.recordings.plausible import monitor_warning
-from ...files.recordings.remarks import Remark, by_kind, counted
+from ...files.recordings.remarks import by_kind, counted
 from ...method.signal.record import Record
 from ...method.signal.sets import RATE_TOLERANCE, check_records
 from .coverage import Coverage, coverage
-from .one_record import Facts, coloured_noise, facts, masked, moves
+from .one_record import CheckedRecord as CheckedRecord
+from .one_record import coloured_noise, facts, masked, moves
 from .repeats import Repeat, cycles, find_repeats
 from .set_advice import set_advice, some_of
 from .set_fit import SetFit, fit_set
-
-_FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
-
-
-@dataclass(frozen=True)
-class CheckedRecord:
-    """Facts about one record as the check found them; None if unknown.
-
-    Attributes:
-        samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
-        recognised: properties of the file as read: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
-        begins: "rest", "held" or "moving".
-        zero, zero_stderr, noise: in `unit`, the record's own.
-        direction: 1 or -1.
-        noise_colour: "white" or "coloured".
-        excitation: "sweep", "sine", "steps", "broadband" or "none".
-        band_hz: of the input.
-        repaired: corrections that need no action.
-        problems: one sentence each.
-    """
-
-    samples: int | None = None
-    rate_hz: float | None = None
-    recognised: Mapping[str, Any] = field(default_factory=dict)
-    begins: str | None = None
-    zero: float | None = None
-    zero_stderr: float | None = None
-    unit: str | None = None
-    direction: int | None = None
-    noise: float | None = None
-    noise_colour: str | None = None
-    missing: int | None = None
-    outliers: int | None = None
-    jitter: float | None = None
-    excitation: str | None = None
-    band_hz: tuple[float, float] | None = None
-    repaired: tuple[Remark, ...] = ()
-    problems: tuple[str, ...] = ()
-
-    def as_json(self) -> dict:
-        """Return the record's entry in the JSON of `pitp check` (docs/contract.md)."""
-        plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
-        zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
-        problems = [*map(str, self.repaired), *self.problems]
-        return plain | {"zero": zero, "recognised": dict(self.recognised), "problems": problems}
 
 
 @dataclass(frozen=True)
@@ -151,7 +106,7 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     used = [replace(r, voltage=r.voltage - start) for r in used]
     fitted = fit_set(used) if used else None
     resonance, input_map = (fitted.peak_hz, fitted.input_map) if fitted else (None, "square")
-    rows = {r.name: _row(r, own[r.name], fitted) for r in records}
+    rows = {r.name: _beside(r, own[r.name], fitted) for r in records}
     turned = _turned(rows)
     more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
     rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
@@ -206,28 +161,22 @@ def _apart(records: Sequence[Record]) -> dict[str, str]:
     return apart
 
 
-def _row(record: Record, own: Facts, fitted: SetFit | None) -> CheckedRecord:
-    """Return the facts about one record, with the results of the linear fit."""
-    unit, problems = record.displacement_unit, list(own.problems)
-    noise, colour, direction, begun = own.noise, None, None, None
-    if fitted is not None and record.name in fitted.records:
-        row = fitted.records[record.name]
-        harmonic = 2 if fitted.input_map == "square" else 1
-        top = harmonic * own.band_hz[1] if own.band_hz else 0.0
-        coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
-        noise, colour = (noise, "white") if coloured is None else (coloured, "coloured")
-        begun, direction = row.beginning, int(row.beginning.direction) if row.tells else None
-        problems += [row.strange] if row.strange else []
-    shown = [from_base(v, unit) for v in (begun.zero, begun.stderr)] if begun else [None, None]
-    # an infinite standard error means that the offset was not measured
-    known = [float(v) if v is not None and np.isfinite(v) else None for v in shown]
-    seen = {key: record.recognised[key] for key in _FILE_FACTS if key in record.recognised}
-    return CheckedRecord(
-        samples=record.samples, rate_hz=1 / record.dt, recognised=seen, begins=begun.begins if begun else None,
-        zero=known[0], zero_stderr=known[1], unit=unit, direction=direction,
-        noise=float(from_base(noise, unit)), noise_colour=colour, missing=record.missing,
-        outliers=own.outliers, jitter=own.jitter, excitation=own.excitation, band_hz=own.band_hz,
-        repaired=own.repaired, problems=tuple(problems),
+def _beside(record: Record, own: CheckedRecord, fitted: SetFit | None) -> CheckedRecord:
+    """Complete the facts about one record by the results of the linear fit."""
+    if fitted is None or record.name not in fitted.records:
+        return own
+    row, unit = fitted.records[record.name], record.displacement_unit
+    harmonic = 2 if fitted.input_map == "square" else 1
+    top = harmonic * own.band_hz[1] if own.band_hz else 0.0
+    coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
+    zero, stderr = (float(from_base(v, unit)) for v in (row.beginning.zero, row.beginning.stderr))
+    return replace(
+        own, begins=row.beginning.begins, zero=zero if np.isfinite(zero) else None,
+        zero_stderr=stderr if np.isfinite(stderr) else None,  # infinite: the offset was not measured
+        direction=int(row.beginning.direction) if row.tells else None,
+        noise=own.noise if coloured is None else float(from_base(coloured, unit)),
+        noise_colour="white" if coloured is None else "coloured",
+        problems=(*own.problems, row.strange) if row.strange else own.problems,
     )  # fmt: skip
 
 

@@ -5,8 +5,9 @@ noise    white: 5th difference (`noise_std`);  coloured: the residual's density 
 P(lowest quarter of those bands) > 4 P(highest quarter), is extended to lower frequencies
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,7 @@ from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.initial_state import in_motion, noise_std
 from ...method.signal.record import Record
 
+_FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
 _TAIL = 0.01  # fraction of the input's energy below its band, and above
 _FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
 _ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; above them the spectrum is sensor noise
@@ -30,28 +32,46 @@ _MUCH = 0.05  # fraction of missing samples that is reported
 
 
 @dataclass(frozen=True)
-class Facts:
-    """Facts about one record that need no model: input, noise, faults and problems.
+class CheckedRecord:
+    """Facts about one record as the check found them; None if unknown.
 
     Attributes:
-        excitation: "sweep", "sine", "steps", "broadband", or "none" if the input never changes.
-        band_hz: lowest and highest frequency of the input; None if it never changes.
-        noise: standard deviation of white sensor noise, output's base unit.
-        outliers, clipped, lost: samples masked by the reader or here.
-        jitter: largest distance of a time from the uniform grid, in samples.
-        repaired: corrections that need no action, for example a few spikes and lost samples.
+        samples, rate_hz, missing, outliers, jitter: as read; jitter in samples.
+        recognised: properties of the file as read: `file`, `time`, `input`, `output` in words, `lost`, `clipped`.
+        begins: "rest", "held" or "moving".
+        zero, zero_stderr, noise: in `unit`, the record's own.
+        direction: 1 or -1.
+        noise_colour: "white" or "coloured".
+        excitation: "sweep", "sine", "steps", "broadband" or "none".
+        band_hz: of the input.
+        repaired: corrections that need no action.
         problems: one sentence each.
     """
 
-    excitation: str
-    band_hz: tuple[float, float] | None
-    noise: float
-    outliers: int
-    clipped: int
-    lost: int
-    jitter: float
-    repaired: tuple[Remark, ...]
-    problems: tuple[str, ...]
+    samples: int | None = None
+    rate_hz: float | None = None
+    recognised: Mapping[str, Any] = field(default_factory=dict)
+    begins: str | None = None
+    zero: float | None = None
+    zero_stderr: float | None = None
+    unit: str | None = None
+    direction: int | None = None
+    noise: float | None = None
+    noise_colour: str | None = None
+    missing: int | None = None
+    outliers: int | None = None
+    jitter: float | None = None
+    excitation: str | None = None
+    band_hz: tuple[float, float] | None = None
+    repaired: tuple[Remark, ...] = ()
+    problems: tuple[str, ...] = ()
+
+    def as_json(self) -> dict:
+        """Return the record's entry in the JSON of `pitp check` (docs/contract.md)."""
+        plain = {k: v for k, v in vars(self).items() if k not in ("zero", "zero_stderr", "unit", "repaired")}
+        zero = {"value": self.zero, "stderr": self.zero_stderr, "unit": self.unit}
+        problems = [*map(str, self.repaired), *self.problems]
+        return plain | {"zero": zero, "recognised": dict(self.recognised), "problems": problems}
 
 
 def masked(record: Record) -> Record:
@@ -63,8 +83,8 @@ def masked(record: Record) -> Record:
     return replace(record, displacement=faults.displacement, recognised={**seen, **counts})
 
 
-def facts(record: Record) -> Facts:
-    """Return input, faults, noise and problems of one record whose sensor faults are masked."""
+def facts(record: Record) -> CheckedRecord:
+    """Return input, faults, noise and problems of one record whose sensor faults are masked: what needs no model."""
     seen, unit = record.recognised, record.displacement_unit
     outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
     jitter = float(seen.get("jitter", _jitter(record)))
@@ -72,15 +92,20 @@ def facts(record: Record) -> Facts:
     band = drive_band(record) if changes else None
     noise = noise_std(record.displacement)
     values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
-    repaired = tuple(Remark(kind, record.name, value) for kind, value in values.items() if value)
     problems = []
     if outliers > _MANY * record.samples:
         problems.append(f"{Remark('outliers', record.name, outliers)}: check the sensor")
     if clipped:
         problems.append(f"{Remark('clipped', record.name, clipped)}: move the sensor or widen its range")
     problems += questions(record.voltage, record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
-    excitation = kind(record) if changes else "none"
-    return Facts(excitation, band, noise, outliers, clipped, lost, jitter, repaired, tuple(problems))
+    return CheckedRecord(
+        samples=record.samples, rate_hz=1 / record.dt,
+        recognised={key: seen[key] for key in _FILE_FACTS if key in seen}, unit=unit,
+        noise=float(from_base(noise, unit)), missing=record.missing, outliers=outliers, jitter=jitter,
+        excitation=kind(record) if changes else "none", band_hz=band,
+        repaired=tuple(Remark(what, record.name, value) for what, value in values.items() if value),
+        problems=tuple(problems),
+    )  # fmt: skip
 
 
 def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:

@@ -31,7 +31,6 @@ _MOST = 300_000  # samples in all
 _ROUNDS = 3  # refits of the common poles, each without the records that differ
 _HALVED = 6  # records from which halves of the set are tried
 _EXACT = 1e-6  # fraction unexplained of a record without noise
-_FEWEST = 3  # records needed to find one that differs from most
 _SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
 _UNEXPLAINED = 0.3  # fraction from which a record may not belong
 _UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)  # factors between units that are easily confused
@@ -109,11 +108,11 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
             halves = [_beside_poles_of(set(list(every)[k::2]), small, step) for k in (0, 1)]
             best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
         kept = every
-        for _ in range(_ROUNDS if len(small) >= _FEWEST else 0):
+        for _ in range(_ROUNDS):
             belong = {k for k, row in enumerate(best[1]) if not row.strange}
             if len(belong) < 2 / 3 * len(every):  # the records disagree, so none can be excluded
-                best = best[0], [replace(row, strange="") for row in best[1]]
-            if len(belong) < 2 / 3 * len(every) or belong == kept:
+                best, belong = (best[0], [replace(row, strange="") for row in best[1]]), kept
+            if belong == kept:
                 break
             kept, best = belong, _beside_poles_of(belong, small, step) or best
     except (BadInput, ComputationFailed, np.linalg.LinAlgError):
@@ -136,8 +135,11 @@ def _beside_poles_of(kept: set[int], small, step: int) -> tuple[np.ndarray, list
         return None
     logs, by_place = logs_from_roots(roots), dict(zip(sorted(kept), begun, strict=True))
     resting = [b.zero for b in begun if b.begins == "rest"]
-    beginnings = [by_place.get(k) or start_beside(r, "linear", logs, _gain(logs, r), resting[:1])
-                  for k, r in enumerate(small)]  # fmt: skip
+    moving = Beginning("moving", 1.0, 0.0, 0.0)  # with a free initial state
+    beginnings = [
+        by_place.get(k) or start_beside(r, "linear", logs, abs(_beside(r, logs, moving, 1).gain), resting[:1])
+        for k, r in enumerate(small)
+    ]
     return logs, _relative([_beside(r, logs, b, step) for r, b in zip(small, beginnings, strict=True)])
 
 
@@ -162,12 +164,6 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     # an input that starts at 0 V was held there before, at rest
     firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
     return step, [replace(r, voltage=voltage) for r, voltage in zip(small, firsts, strict=True)]
-
-
-def _gain(logs: np.ndarray, record: Record) -> float:
-    """Return the gain of one record at given poles, with a free initial state."""
-    moving = _beside(record, logs, Beginning("moving", 1.0, 0.0, 0.0), 1)
-    return abs(moving.gain)
 
 
 def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Beside:

@@ -74,17 +74,17 @@ def diagnose(
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
         say(f"diagnosing {nominal} on {len(read_in)} recording{'' if len(read_in) == 1 else 's'}")
-        diagnosis = robot = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
+        diagnosis = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
         read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
         warn(read_in)
         diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
-        robot = diagnosis.robot
         augmented = descended(diagnosis.model, "diagnose against a simulator", read_in, diagnosis.nominal)
     status.close()
+    robot = diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
     csv = str(Path(out) / NEXT_CSV) if out is not None and robot.next_experiment is not None else None
-    written = _write(diagnosis, augmented, read_in[0].voltage_unit, out, json_file, csv)
+    written = _write(diagnosis, robot, augmented, read_in[0].voltage_unit, out, json_file, csv)
     _attempt("the printed result", lambda: _print(diagnosis))
     if mjcf is not None and isinstance(diagnosis, SimToReal):
         _write_mjcf(diagnosis, records, mjcf, one_joint(joint), str(out), actuator)
@@ -122,8 +122,8 @@ def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inpu
 
 
 def _write(
-    diagnosis: Diagnosis | SimToReal, augmented, input_unit: str, out: str | None, json_file: str | None,
-    csv: str | None,
+    diagnosis: Diagnosis | SimToReal, robot: Diagnosis, augmented, input_unit: str, out: str | None,
+    json_file: str | None, csv: str | None,
 ) -> set[str]:  # fmt: skip
     """Write the result, then the pages; return the names of the files written into the folder.
 
@@ -134,13 +134,13 @@ def _write(
         if out is not None:
             write_json(stage / JSON, value)
             save(stage / MODEL, augmented)
-            if (planned := _robot_of(diagnosis).next_experiment) is not None:
+            if (planned := robot.next_experiment) is not None:
                 unit = "V" if input_unit.endswith("V") else input_unit
                 write_signals(stage / NEXT_CSV, planned.time, voltage=(planned.voltage, unit))
             written |= _files_in(stage)
     if out is not None:
         with staged(folder=out) as stage:
-            _write_pages(diagnosis, stage)
+            _write_pages(diagnosis, robot, stage)
             written |= _files_in(stage)
     return written
 
@@ -153,10 +153,6 @@ def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None
     print(f"wrote {page_words}{out / MODEL} ({added})")
     if csv is not None and robot.next_experiment is not None:
         print(f"next experiment, to separate {' from '.join(robot.next_experiment.separates)}: {csv}")
-
-
-def _robot_of(diagnosis: Diagnosis | SimToReal) -> Diagnosis:
-    return diagnosis.robot if isinstance(diagnosis, SimToReal) else diagnosis
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:
@@ -203,9 +199,8 @@ def _tidy(folder: Path, written: set[str]) -> None:
         print(f"removed from {folder}, of an earlier diagnosis: {', '.join(old)}")
 
 
-def _write_pages(diagnosis: Diagnosis | SimToReal, folder: Path) -> None:
+def _write_pages(diagnosis: Diagnosis | SimToReal, robot: Diagnosis, folder: Path) -> None:
     """Write the pages and their figures into a folder; a page that fails is reported and left out."""
-    robot = _robot_of(diagnosis)
     name = REPORT if robot is diagnosis else ROBOT
     _attempt(name, lambda: write_page(folder / name, report(robot)))
     if isinstance(diagnosis, SimToReal):

@@ -18,12 +18,11 @@ from ...method.train.cross_validation import with_held_out
 from ...method.train.settings import preset_of
 from ...method.train.training import Training, train
 from ..compare.description import describe, fallback_line, in_words, sensor_line
-from .compatibility import check_belongs
 from .console import ProgressLine, number, say
 from .fit_errors import errors_json, explained, print_errors, suspects
 from .outputs import REPORT, check_outputs, staged, write_json
-from .predict import score
-from .recordings import is_square, read_records, warn
+from .predict import scored
+from .recordings import check_belongs, is_square, read_records, warn
 from .reports import listed, print_history
 
 
@@ -54,21 +53,19 @@ def fit(
         KeyboardInterrupt: interrupted; the best complete model is written if a stage was complete.
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
-    start = _given(nominal, order, input_map) if nominal else None
-    read_in = read_records(records, reading, square=is_square(start) if start else input_map)
+    given = _given(nominal, order, input_map) if nominal else None
+    read_in = read_records(records, reading, square=is_square(given) if given else input_map)
     warn(read_in)
 
-    def identified(some, **how):
-        return _identified(some, input_map=input_map, **how)
+    def identified(some: Sequence[Record]) -> Identification:
+        return _identified(some, order or "auto", input_map)
 
-    given, first = start, None
-    if start is None:
-        first = identified(read_in, order=order or "auto")
-        start = first.model
+    first = None if given else identified(read_in)
+    start = first.model if first else given
+    assert start is not None
     check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}
-    anew = (lambda _: given) if given else (lambda some: identified(some, order=order or "auto").model)
     done, held_out = train(start, read_in, progress=ProgressLine().train, **how), ()
     save(out, done.model)
     if report is not None:
@@ -79,7 +76,9 @@ def fit(
     _print_training(done, [r.name for r in read_in], warning)
     if cross_validate:
         say(f"cross-validation: {len(done.errors)} trainings, each without one recording")
-        held_out = run_cross_validate(given or anew, read_in, done.model, progress=ProgressLine().train, **how)
+        held_out = run_cross_validate(
+            given or (lambda some: identified(some).model), read_in, done.model, progress=ProgressLine().train, **how
+        )
         save(out, with_held_out(done.model, held_out))
     print_errors(done.errors, held_out)
     for line in [*done.problems, *suspects(held_out)]:
@@ -112,9 +111,9 @@ def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) ->
     from ..pages.fit_page import fit_page  # imported here, because matplotlib takes half a second
 
     runs = predict(model, records)
-    scores = {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
     with staged(folder=folder) as stage:
-        write_text_atomic(stage / REPORT, fit_page(model, records, runs, scores, name).html())
+        page = fit_page(model, records, runs, scored(records, runs), name)
+        write_text_atomic(stage / REPORT, page.html())
 
 
 def _given(path: str, order, input_map) -> Fitted:
@@ -127,17 +126,17 @@ def _given(path: str, order, input_map) -> Fitted:
     return model
 
 
-def _identified(records, order, **how) -> Identification:
+def _identified(records, order, input_map) -> Identification:
     """Identify a nominal model on the sweeps among the records, or on all records if there is no sweep."""
     sweeps = [record for record in records if is_sweep(record)]
     if sweeps:
         say(f"identifying on the sweeps among {len(records)} recordings: {listed([r.name for r in sweeps])}")
     else:
         say(f"no recording is a sweep: identifying on all, {listed([r.name for r in records])}")
-    identified = identify(sweeps or records, order=order, progress=say, **how)
+    identified = identify(sweeps or records, order=order, input_map=input_map, progress=say)
     say(f"identified order {identified.model.order}")
     if order == "auto" and trains_from_order_two(identified):
         say("order 2 predicts as well, and training cannot add the mass that order 1 lacks: identifying order 2")
-        how["input_map"] = identified.model.input_map.name
-        identified = identify(sweeps or records, order=2, progress=say, **how)
+        input_map = identified.model.input_map.name
+        identified = identify(sweeps or records, order=2, input_map=input_map, progress=say)
     return identified

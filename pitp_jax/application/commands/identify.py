@@ -10,7 +10,7 @@ from ..pages.tables import orders as orders_table
 from ..pages.tables import scores as scores_table
 from .console import number, print_table, say
 from .outputs import REPORT, check_outputs, staged
-from .predict import score
+from .predict import scored
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
@@ -43,14 +43,9 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     apart = read_records(validate, reading, square=input_map) if validate else []
     identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     summary = describe(identified.model)
-    scores = (
-        {r.name: score(r, p) for r, p in zip(apart, predict(identified.model, apart), strict=True)} if apart else {}
-    )
-    orders, beginnings = (
-        [vars(fit) for fit in identified.orders],
-        {name: vars(b) for name, b in identified.beginnings.items()},
-    )
-    value = {**summary, "orders": orders, "rest": identified.rest, "beginnings": beginnings,
+    scores = scored(apart, predict(identified.model, apart)) if apart else {}
+    beginnings = {name: vars(b) for name, b in identified.beginnings.items()}
+    value = {**summary, "orders": [*map(vars, identified.orders)], "rest": identified.rest, "beginnings": beginnings,
              "remarks": list(identified.remarks), "warning": identified.warning, "validation": scores}  # fmt: skip
     with staged(file=out, json_file=json_file, value=value) as stage:
         save(stage, identified.model)

@@ -17,9 +17,9 @@ from ...method.model.expected_error import expected_error
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from .amounts import in_base
-from .compatibility import check_kind
 from .console import number, say
 from .outputs import check_outputs, staged
+from .recordings import check_kind
 
 _ROUNDING = 0.01  # % of range: agreement of a single-precision rollout with a plan by the same model
 

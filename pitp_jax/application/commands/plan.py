@@ -15,10 +15,9 @@ from ..pages.plan import headline, page, table
 from ..plan.planning import REACHED, Plan
 from ..plan.planning import plan as make_plan
 from .amounts import Amount, in_base
-from .compatibility import check_belongs
 from .console import print_table
 from .outputs import check_outputs, staged, write_json
-from .recordings import is_square, read_records
+from .recordings import check_belongs, is_square, read_records
 
 PAGE, JSON = "plan.html", "plan.json"
 

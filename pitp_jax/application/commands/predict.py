@@ -39,12 +39,11 @@ def predict(model, records, out, json_file, reading) -> None:
         BadInput: with nothing written.
         ComputationFailed: every record diverged; the results are written.
     """
-    check_outputs(json_file, folder=out, inputs=[model, *records])
     loaded, read_in = open_both(model, records, reading)
     files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[model, *records])
     predictions = run_predict(loaded, read_in)
-    scores = {r.name: score(r, p) for r, p in zip(read_in, predictions, strict=True)}
+    scores = scored(read_in, predictions)
     result = {"records": scores, "median_e_rms_percent": median_e_rms(list(scores.values()))}
     with staged(folder=out, json_file=json_file, value=result) as stage:
         if out is not None:
@@ -69,6 +68,11 @@ def predict(model, records, out, json_file, reading) -> None:
         raise ComputationFailed(
             f"{model} diverged on every recording; check units and columns, or train on more recordings of this kind"
         )
+
+
+def scored(records: Sequence[Record], runs: Sequence[Prediction]) -> dict[str, dict]:
+    """Return the errors and counts of records, by name."""
+    return {r.name: score(r, p) for r, p in zip(records, runs, strict=True)}
 
 
 def score(record: Record, prediction: Prediction) -> dict:

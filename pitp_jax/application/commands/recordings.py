@@ -1,7 +1,9 @@
-"""Read the recordings of a command, and report what was recognised, one line per kind of file."""
+"""Read the recordings of a command, report what was recognised, and check whether they can belong to its model."""
 
 from collections.abc import Sequence
 
+from ...common.errors import BadInput
+from ...common.units import base_unit
 from ...files.model_file.model_file import load
 from ...files.recordings.plausible import monitor_warning
 from ...files.recordings.reading import read
@@ -9,7 +11,7 @@ from ...files.recordings.remarks import Remark, by_kind
 from ...method.model.fitted import Fitted
 from ...method.model.input_map import SquareInput, usual_input_map
 from ...method.signal.record import Record
-from .compatibility import check_belongs
+from ...method.signal.sets import RATE_TOLERANCE
 from .console import say
 from .reports import listed
 
@@ -77,3 +79,34 @@ def recognised(records: Sequence[Record]) -> list[str]:
 def is_square(model: Fitted) -> bool:
     """Return whether the square of the voltage drives the model (otherwise the voltage itself)."""
     return isinstance(model.input_map, SquareInput)
+
+
+def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
+    """Refuse an output of another kind than the model's, for example volts for a model in metres.
+
+    Raises:
+        BadInput: naming both.
+    """
+    own = base_unit(model.origin.displacement_unit)
+    if base_unit(unit) != own:
+        raise BadInput(f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column")
+
+
+def check_belongs(model: Fitted, path: str, records: Sequence[Record]) -> None:
+    """Refuse records whose output is of another kind than the model's; warn about another sampling rate.
+
+    Raises:
+        BadInput: naming record and model.
+    """
+    for record in records:
+        check_kind(model, path, record.displacement_unit, record.source)
+    warn_of_rate(model, path, "the recordings are", records[0].dt)
+
+
+def warn_of_rate(model: Fitted, path: str, what: str, dt: float) -> None:
+    """Warn if `what` is sampled at another rate than the model's recordings."""
+    if abs(dt / model.dt - 1) > RATE_TOLERANCE:
+        say(
+            f"warning: {what} sampled every {dt:.6g} s, those of {path} every {model.dt:.6g} s; expect larger errors "
+            "with coarser sampling"
+        )

@@ -14,10 +14,10 @@ from ...method.model.coordinate import Zero
 from ...method.model.coverage import untrained, untrained_words
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
-from ...method.signal.sets import RATE_TOLERANCE
 from ...method.simulate.voltage_only import rollout
 from .console import Table, print_table, say
 from .outputs import check_outputs, staged
+from .recordings import warn_of_rate
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
@@ -35,7 +35,6 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
         BadInput: with nothing written.
         ComputationFailed: every run diverged; the results are written.
     """
-    check_outputs(json_file, folder=out, inputs=[model, *voltages])
     loaded = load(model)
     drives = read_voltage(*voltages, **reading)
     files = [f"{d.name.lstrip('/')}.csv" for d in drives]
@@ -68,11 +67,7 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
             say(line)
     (low, high), units = model.domain.voltage_range, units_of(model)
     for drive in drives:
-        if abs(drive.dt / model.dt - 1) > RATE_TOLERANCE:
-            say(
-                f"warning: {drive.name} is sampled every {drive.dt:.6g} s, the recordings of {path} every "
-                f"{model.dt:.6g} s; expect larger errors with coarser sampling"
-            )
+        warn_of_rate(model, path, f"{drive.name} is", drive.dt)
         # 0.1 %: the voltages of a file are rounded
         if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
             seen, played = (

@@ -29,13 +29,11 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
         BadInput: with nothing written.
         ComputationFailed: the changed file is not better beyond the noise; the results are written.
     """
-    inputs = [mjcf, before, *records, *held_out]
-    check_outputs(json_file, folder=out, inputs=inputs)
     used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
     files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
     if len(set(files)) < len(files):
         raise BadInput("a held-out recording has the same name as another recording; rename one of them")
-    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=inputs)
+    check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[mjcf, before, *records, *held_out])
     result = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
     with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
         if out is not None:

@@ -117,8 +117,10 @@ def write_page(file: Path, page: Page) -> None:
 def _pictures(part) -> Iterator[Picture]:
     if isinstance(part, Picture):
         yield part
-    elif isinstance(part, Section | list):
-        for inner in getattr(part, "parts", part):
+    elif isinstance(part, Section):
+        yield from _pictures(list(part.parts))
+    elif isinstance(part, list):
+        for inner in part:
             yield from _pictures(inner)
 
 
@@ -139,21 +141,21 @@ def write_picture(folder: Path, picture: Picture) -> None:
     if picture.columns is not None:
         write_csv(table, picture.columns)
         return
-    rows = [",".join((*map(_quoted, row[:2]), *(f"{v:.9g}" for v in row[2:]))) for row in _rows(picture.drawn)]
-    write_text_atomic(table, "\n".join(["axes,series,x,y", *rows]) + "\n")
+    write_text_atomic(table, "\n".join(["axes,series,x,y", *_rows(picture.drawn)]) + "\n")
 
 
-def _rows(drawn: Figure) -> Iterator[tuple[str, str, float, float]]:
+def _rows(drawn: Figure) -> Iterator[str]:
     for k, ax in enumerate(drawn.axes):
-        axes = ax.get_ylabel() or f"axes {k + 1}"
+        axes = _quoted(ax.get_ylabel() or f"axes {k + 1}")
         for n, line in enumerate(ax.lines):
             label = str(line.get_label())
-            series = f"line {n + 1}" if label.startswith("_") else label
+            series = _quoted(f"line {n + 1}" if label.startswith("_") else label)
             for x, y in zip(*(np.asarray(v, float) for v in line.get_data()), strict=True):
-                yield axes, series, float(x), float(y)
+                yield f"{axes},{series},{x:.9g},{y:.9g}"
         for patch in ax.patches:
             if isinstance(patch, Rectangle):
-                yield axes, "bar", patch.get_x() + patch.get_width() / 2, patch.get_y() + patch.get_height()
+                x, y = patch.get_x() + patch.get_width() / 2, patch.get_y() + patch.get_height()
+                yield f"{axes},{_quoted('bar')},{x:.9g},{y:.9g}"
 
 
 def _quoted(text: str) -> str:

@@ -31,41 +31,29 @@ _AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
 _STILL = 1e-3  # of the largest range: a run that moves less carries no information
 
 
-@dataclass(frozen=True)
-class Motions:
-    """Simulated motions: information on the parameters (P, P) each, stroke and range (m), whether it stayed finite."""
+def information(
+    model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float = 0.0
+) -> list[np.ndarray]:  # fmt: skip
+    """Return the information of simulated motions on the model's parameters, (P, P) each; 0 if diverged or motionless.
 
-    information: tuple[np.ndarray, ...]
-    stroke: np.ndarray
-    span: np.ndarray
-    finite: np.ndarray
-
-
-def motions(
-    model: Model, voltages: Sequence[np.ndarray], dt: float, *, floor: float = 0.0, slopes: bool = True
-) -> Motions:
-    """Simulate the model under these voltages; return information on its parameters, displacements and ranges.
-
-    Diverged or motionless simulations carry no information.
-
-    Errors are in % of sqrt(range^2 + floor^2), floor in m, because the noise does not shrink with the motion. Without
-    `slopes` only displacements and ranges are computed.
+    Args:
+        model: with P trained parameters.
+        voltages: V, from rest, or settled at the first value.
+        dt: sampling interval, s.
+        floor: errors are in % of sqrt(range^2 + floor^2), m, because the noise does not shrink with the motion.
     """
-    model, parts, places = at_rate(model, dt), [], alike(voltages, len)
-    for some in places:
-        parts.append(_together(model, [voltages[k] for k in some], dt, floor, slopes))
-    back = np.argsort(np.concatenate(places))
-    information = [m for part in parts for m in part.information]
-    arrays = (np.concatenate(a)[back] for a in zip(*((p.stroke, p.span, p.finite) for p in parts), strict=True))
-    return Motions(tuple(information[k] for k in back) if slopes else (), *arrays)
+    model, places = at_rate(model, dt), alike(voltages, len)
+    found = [m for some in places for m in _together(model, [voltages[k] for k in some], dt, floor)]
+    return [found[k] for k in np.argsort(np.concatenate(places))]
 
 
-def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float, slopes: bool) -> Motions:
-    """Compute `motions` for voltages of similar length, padded to one length."""
+def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float) -> list[np.ndarray]:
+    """Compute `information` for voltages of similar length, padded to one length."""
     every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
-    start = _starts(model, drive[:, 0], dt)
+    held = settled_states(model, drive[:, 0], dt, np.zeros(len(drive)))
+    start = np.where(drive[:, :1] != 0, held, np.asarray(rest_state(model)))
     x = model_runs(model, drive, dt, start)[1]
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
     # diverged and padded samples carry no information, and must not bring nan into the sums
@@ -76,12 +64,12 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     against = np.where(tells, np.hypot(span, floor / scale), np.inf)
     # 1e4: squares of errors in percent of the range
     weight = inside * (1e4 / inside.sum(1) / against**2)[:, None]
-    information = []
-    for part, at, w in _batches(drive, start, weight.astype(np.float32)) if slopes else ():
+    found = []
+    for part, at, w in _batches(drive, start, weight.astype(np.float32)):
         runs = Runs(jnp.asarray(at, jnp.float32), jnp.asarray(part), jnp.zeros_like(w), jnp.asarray(w))
         rows = np.asarray(run_slopes(model, runs, dt, every), np.float64)
-        information += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
-    return Motions(tuple(information[: len(voltages)]), scale * np.abs(x).max(1), scale * span, finite)
+        found += [r.T @ r if np.isfinite(r).all() else np.zeros((r.shape[1],) * 2) for r in rows]
+    return found[: len(voltages)]
 
 
 def _batches(*arrays):
@@ -90,13 +78,6 @@ def _batches(*arrays):
     for first in range(0, count, _AT_ONCE):
         part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
         yield tuple(a[part] for a in arrays)
-
-
-def _starts(model: Model, first: np.ndarray, dt: float) -> np.ndarray:
-    """Return initial states: at rest if a voltage starts at zero, otherwise settled at its first value."""
-    held = settled_states(model, first, dt, np.zeros(len(first)))
-    settled = (first[:, None] != 0) & np.isfinite(held).all(1, keepdims=True)
-    return np.where(settled, held, np.asarray(rest_state(model)))
 
 
 @dataclass(frozen=True)
@@ -136,10 +117,10 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
     error = float(np.sqrt(np.mean(errors**2)))
     # an input that hardly moves the actuator gives only noise, even if the model predicts it well
     floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
-    played = motions(model, [r.voltage for r in records], dt, floor=floor)
+    played = information(model, [r.voltage for r in records], dt, floor)
     seconds = np.array([r.samples * dt for r in records])
     rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
-    precision = sum(t * m for t, m in zip(seconds, played.information, strict=True)) + seconds.sum() * np.diag(rho)
+    precision = sum(t * m for t, m in zip(seconds, played, strict=True)) + seconds.sum() * np.diag(rho)
     return Knowledge(precision, error**2 * float(taus.mean()), error, floor)
 
 

@@ -19,7 +19,7 @@ from ...common.errors import BadInput
 from ...method.model.model import Model
 from ...method.signal.record import Record
 from .drives import Planned, space_filling
-from .expected_error import Knowledge, Motions, knowledge, motions
+from .expected_error import Knowledge, information, knowledge
 from .first_session import FEWEST, POINTS, default_duration, drive
 from .limits import Limits
 from .strokes import strokes
@@ -81,9 +81,9 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     wanted = [drive(p[None], one, limits) for p in space_filling(_PREDICTED, limits, seed + 1)]
     known = knowledge(model, records)
     offered, predicted = (
-        motions(model, [d.voltage for d in some], 1 / limits.rate, floor=known.floor) for some in (tried, wanted)
+        information(model, [d.voltage for d in some], 1 / limits.rate, known.floor) for some in (tried, wanted)
     )
-    places, expected, worth = greedy(known, offered, predicted, np.full(len(tried), one), count)
+    places, expected, worth = greedy(known, offered, predicted, one, count)
     chosen = [
         replace(
             tried[k], purpose=f"{tried[k].purpose.split(':')[0]}: lowers the expected error from {a:.3g} to {b:.3g} %"
@@ -94,12 +94,11 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
 
 
 def greedy(
-    known: Knowledge, offered: Motions, predicted: Motions, seconds: np.ndarray, count: int
+    known: Knowledge, offered: Sequence[np.ndarray], predicted: Sequence[np.ndarray], seconds: float, count: int
 ) -> tuple[list[int], tuple[float, ...], int]:
     """Choose `count` candidates one by one; return indices, expected errors (%), and how many are worthwhile."""
-    g = np.mean([m for m, ok in zip(predicted.information, predicted.finite, strict=True) if ok], axis=0)
-    moved = [t * m for t, m in zip(seconds, offered.information, strict=True)]
-    taken, variances = choose(known.precision, moved, g, count)
+    judged = np.mean([m for m in predicted if m.any()], axis=0)  # not of runs that diverged
+    taken, variances = choose(known.precision, [seconds * m for m in offered], judged, count)
     v = known.unit * np.array(variances)
     # compared with the model's residual: a variance below it cannot be seen in any measured error
     seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN

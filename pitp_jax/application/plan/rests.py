@@ -7,9 +7,7 @@ without one     ln(200) / (zeta w), zeta = 0.05, w the geometric mean of the ban
 import numpy as np
 
 from ...method.model.model import Model
-from ...method.simulate.decoder import rest_state
-from ...method.simulate.model_runs import model_runs
-from ...method.simulate.prediction import at_rate
+from ...method.simulate.voltage_only import rollout
 
 _SETTLED = 0.005  # of the stroke: hidden in sensor noise
 _HELD, _LONGEST = 3.0, 30.0  # s: hold before the rest, and longest rest
@@ -24,11 +22,9 @@ def first_rest(band: tuple[float, float]) -> float:
 
 def rest_after(model: Model, volts: float, rate: float) -> float:
     """Return the time after which the model is at rest again from a constant voltage, s, rounded up to tenths."""
-    model = at_rate(model, 1 / rate)
-    u = np.zeros(round((_HELD + _LONGEST) * rate), np.float32)
     held = round(_HELD * rate)
-    u[:held] = volts
-    x = np.abs(model_runs(model, u[None], 1 / rate, np.asarray(rest_state(model))[None])[0][0, :, 0])
+    u = np.append(np.full(held, volts), np.zeros(round(_LONGEST * rate)))
+    x = np.abs(rollout(model, u, 1 / rate, begins="rest"))
     if not np.isfinite(x).all():
         return _LONGEST
     moving = np.flatnonzero(x[held:] > _SETTLED * x.max())

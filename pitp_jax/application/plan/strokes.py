@@ -12,7 +12,7 @@ import numpy as np
 from scipy.signal import cont2discrete, find_peaks, lfilter
 
 from ...method.model.model import Model
-from .expected_error import motions
+from ...method.simulate.voltage_only import rollout
 
 LEAST_DAMPING = 0.01  # of an actuator that has not been identified yet
 _HALF = 0.5  # of the identified damping: a resonance then swings twice as far
@@ -42,8 +42,9 @@ def strokes(model: Model, voltages: Sequence[np.ndarray], dt: float) -> np.ndarr
     Returns:
         shape (voltages, 2).
     """
-    played = [motions(m, list(voltages), dt, slopes=False) for m in (model, half_damped(model))]
-    return np.stack([np.where(p.finite, p.stroke, np.inf) for p in played], 1)
+    both = model, half_damped(model)
+    reached = np.array([[np.abs(rollout(m, u, dt)).max() for m in both] for u in voltages])
+    return np.where(np.isfinite(reached), reached, np.inf)
 
 
 def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float]) -> np.ndarray:
