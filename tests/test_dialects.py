@@ -149,7 +149,7 @@ def test_a_sheet_is_found_among_others(tmp_path):
     assert record.missing == 1 and "sheet 'data'" in record.recognised["file"]
     sheet["B30"] = "oops"
     book.save(tmp_path / "a.xlsx")
-    assert "(row 30): text 'oops'" in refused(tmp_path / "a.xlsx")
+    assert "(line 30): text 'oops'" in refused(tmp_path / "a.xlsx")
 
 
 def test_tdms_channels_with_units_and_a_waveform_clock(tmp_path):

@@ -182,7 +182,7 @@ def bad_files(folder):
         "11.csv": (good.replace("voltage_V", "voltage").encode(), "--input-unit"),
         "12.csv": (text({**far, "voltage_kV": VOLTAGE}).encode(), "more than 100000 V"),
         "13.csv": (text(columns(displacement_mm=[""] * T)).encode(), "every output sample"),
-        "14.csv.gz": (good.encode(), "is not a gzip file"),
+        "14.csv.gz": (b"\x1f\x8b" + bytes(99), "gzip"),
         "15.csv.gz": (gzip.compress(good.encode())[:-400], "too early"),
         "16.npz": (b"PK\x03\x04" + bytes(99), "archive"),
         "17.mat": (b"MATLAB 5.0 MAT-file" + bytes(300), "MATLAB"),

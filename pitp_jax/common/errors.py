@@ -5,7 +5,6 @@ A message may quote text from a file: `cleaned` removes the control characters t
 
 import sys
 import unicodedata
-from collections.abc import Sequence
 
 
 class BadInput(ValueError):
@@ -30,13 +29,3 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
 def cleaned(text: object) -> str:
     """Replace control and format characters in a text by `_`, because a terminal or page would obey them."""
     return "".join("_" if unicodedata.category(c) in ("Cc", "Cf", "Cs", "Zl", "Zp") else c for c in str(text))
-
-
-def by_option(words: Sequence[str]) -> list[list[str]]:
-    """Group the words of a command line by option: each option with its values."""
-    groups: list[list[str]] = []
-    for word in words:
-        if word.startswith("--") or not groups:
-            groups.append([])
-        groups[-1].append(word)
-    return groups

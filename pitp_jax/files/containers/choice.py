@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...common.errors import BadInput, by_option
+from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, spelt, to_base, units_of, written
 from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
@@ -53,6 +53,11 @@ class Choice:
 
     def __str__(self):
         return f"{self.name!r} in {self.unit}{f' ({self.note})' if self.note else ''}"
+
+    @property
+    def bare(self) -> bool:
+        """Return whether the file states no unit."""
+        return self.note.startswith("no unit")
 
     def noted(self, note: str) -> "Choice":
         """Return the choice with a further remark for the summary."""
@@ -128,13 +133,12 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         ports.sort(key=lambda s: _roughness(_values(table, s.place)))  # the input is smoother than the measured output
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
-        problems["voltage"] = Refused(why, ["--input-column", names[0], "--output-column", names[1]])
+        problems["voltage"] = Refused(why, {"--input-column": names[0], "--output-column": names[1]})
     clock = chosen.get("time")
-    bare = clock is not None and clock.place is not None and clock.note.startswith("no unit")
-    if problems and clock is not None and clock.place is not None and bare and options.rate is None:
+    if problems and options.rate is None and clock is not None and clock.place is not None and clock.bare:
         strange = clock_question(_values(table, clock.place), clock.name)
         if strange:  # all problems at once
-            problems["time"] = Refused(strange, ["--time-unit", "UNIT"])
+            problems["time"] = Refused(strange, {"--time-unit": "UNIT"})
     if problems:
         why = "; ".join(ask.why for ask in problems.values())
         words = _suggested(table, seen, pools, chosen, problems, options, quantities)
@@ -355,7 +359,7 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         first, second = seen.conflict[:2]
         raise Refused(
             f"column {name!r} has two units, {first} in its name and {second} in its unit; give --{stem}-unit",
-            [f"--{stem}-unit", first],
+            {f"--{stem}-unit": first},
         )
     if seen.written and quantity != "time":
         return Choice(seen.place, name, seen.written, note)
@@ -371,16 +375,16 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     raise Refused(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_FEW[quantity]}")
 
 
-def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> list[str]:
-    """Return command-line options that solve the problems: the first free column by role; unknown values in capitals.
+def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> dict[str, str]:
+    """Return options that solve the problems: the first free column by role; unknown values in capitals.
 
     Both columns are named as soon as one is in question, because a scale or a name changes what may be the other.
     """
-    words: list[str] = []
+    words: dict[str, str] = {}
     taken = {choice.place for choice in chosen.values()}
     free = [s for s in seen if s.place not in taken and s.column.form == "number" and not s.counts_rows]
     if "time" in problems:
-        words += problems["time"].options or _time_words(table, seen, pools["time"], free, taken)
+        words |= problems["time"].options or _time_words(table, seen, pools["time"], free, taken)
     ports = [q for q in ("voltage", "displacement") if q in quantities]
     asked = any(q in problems and len(pools[q]) != 1 for q in ports)
     # of two recordings in one file (`t u y`, `t_ u_ y_`) the columns of one length belong together
@@ -390,16 +394,15 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     for quantity in ports:
         port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken, rows)
         if port is None:
-            return []
+            return {}
         taken.add(port.place)
         monitors = monitors or quantity == "voltage" and _is_monitor(_values(table, port.place), port)
-        if quantity in problems and problems[quantity].options:
-            words += problems[quantity].options
-        elif (asked or monitors) and (options.column(quantity) is None or quantity in problems):
-            words += [f"--{OPTIONS[quantity]}-column", _said(seen, port)]
-        words += _unit_words(port, quantity, quantity in problems, options, monitors)
-    groups = by_option(words)  # a question about both columns names both
-    return [w for k, group in enumerate(groups) if group[0] not in [g[0] for g in groups[:k]] for w in group]
+        said = problems[quantity].options if quantity in problems else {}
+        if not said and (asked or monitors) and (options.column(quantity) is None or quantity in problems):
+            said = {f"--{OPTIONS[quantity]}-column": _said(seen, port)}
+        # a question about both columns names both: its words stay
+        words = words | said | _unit_words(port, quantity, quantity in problems, options, monitors) | words
+    return words
 
 
 def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, rows: int) -> _Seen | None:
@@ -418,17 +421,17 @@ def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, row
     return next(iter(free), None)
 
 
-def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, monitors: bool) -> list[str]:
+def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, monitors: bool) -> dict[str, str]:
     """Return options that state the unit and scale of a column, in capitals where no file holds them."""
     if options.scale(quantity) is not None:
-        return []
+        return {}
     stem, bare = OPTIONS[quantity], port.kind is None and not port.conflict and not port.written
     volts = port.kind == "voltage" or (bare and not port.unknown and monitors)
-    words = []
+    words = {}
     if bare and options.unit(quantity) is None:
-        words += [f"--{stem}-unit", "V" if volts else "UNIT"]
+        words[f"--{stem}-unit"] = "V" if volts else "UNIT"
     if volts and (monitors or (quantity == "displacement" and asked)):
-        words += [f"--{stem}-scale", "SCALE"]
+        words[f"--{stem}-scale"] = "SCALE"
     return words
 
 
@@ -438,16 +441,16 @@ def _said(seen: Sequence[_Seen], one: _Seen) -> str:
     return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
 
 
-def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> list[str]:
+def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> dict:
     """Return options that state the time: a rising column, or a rate."""
     bare = [s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS]
     pool = pool or [s for s in bare if _ticks(_values(table, s.place))]
     if not pool:
-        return ["--rate", "RATE"]
+        return {"--rate": "RATE"}
     first = pool[0]
     taken.add(first.place)
-    named = ["--time-column", _said(seen, first)] if len(pool) > 1 or first.role != "time" else []
-    return named + (["--time-unit", "UNIT"] if first.kind != "time" else [])
+    named = {"--time-column": _said(seen, first)} if len(pool) > 1 or first.role != "time" else {}
+    return named | ({"--time-unit": "UNIT"} if first.kind != "time" else {})
 
 
 def _values(table: Table, place: int) -> np.ndarray:

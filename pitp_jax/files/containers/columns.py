@@ -104,7 +104,7 @@ def _one_signal(one: Loaded) -> Loaded:
     name, keys = turns
     some = ", ".join(keys[:4]) + (", ..." if len(keys) > 4 else "")
     why = f"column {name!r} has {len(keys)} values ({some}) that take turns, so each row is of one of them; split by it"
-    raise Refused(why, ["--split-by", name])
+    raise Refused(why, {"--split-by": name})
 
 
 def _ours(table: Table) -> bool:
@@ -144,10 +144,10 @@ def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]
     for other, choices in good:
         if any((choices[q].place, choices[q].unit) != (c.place, c.unit) for q, c in chosen.items()):
             two = [", ".join(f"{OPTIONS[q]} {c}" for q, c in one.items()) for one in (chosen, choices)]
-            words = []
+            words = {}
             for q, c in chosen.items():
                 if c.place is not None:
-                    words += [f"--{OPTIONS[q]}-column", c.name, f"--{OPTIONS[q]}-unit", c.unit]
+                    words |= {f"--{OPTIONS[q]}-column": c.name, f"--{OPTIONS[q]}-unit": c.unit}
             raise Refused(f"can be read in two ways: {two[0]} ({table.form}), or {two[1]} ({other.form})", words)
     return table, chosen
 
@@ -236,7 +236,7 @@ def _values(
         rest = [place for place in places if place != clock.place]
         values = dict(zip(rest, table.load(rest), strict=True))  # errors in these come first
         if options.rate is None:
-            raise Refused(str(error), ["--rate", "RATE"]) from None
+            raise Refused(str(error), {"--rate": "RATE"}) from None
         return values, chosen | {"time": Choice(None, "--rate", "s", f"{clock.name!r} is not readable")}
 
 
@@ -258,13 +258,13 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         loaded["time"] = np.arange(count) / rate
         return choice
     seen = time[np.isfinite(time)]
-    unfit, remedy = "", ["--rate", "RATE"]
+    unfit, remedy = "", {"--rate": "RATE"}
     if len(time) != count and choice.place is not None:
         unfit = f"the clock {name!r} has {len(time)} values for {count} samples; give --rate HZ"
     elif not len(seen) or (len(seen) < 2 and rate is not None):
         unfit = f"the clock {name!r} is empty; give --rate HZ"
-    elif len(seen) > 1 and choice.note.startswith("no unit"):
-        unfit, remedy = _unknown_clock(time, name, rate), ["--time-unit", "UNIT"]
+    elif len(seen) > 1 and choice.bare:
+        unfit, remedy = _unknown_clock(time, name, rate), {"--time-unit": "UNIT"}
     if unfit and rate is None:
         raise Refused(unfit, remedy)
     if unfit and rate is not None:

@@ -73,15 +73,15 @@ def file_bytes(path: Path, count: int = -1) -> bytes:
         # a pipe would block forever, a device would never end
         state = os.stat(path)
         if not stat.S_ISREG(state.st_mode):
-            raise BadInput("is not a regular file; copy the recording into one")
+            raise BadInput("is not a regular file (but a folder, a pipe or a device); give one")
         if count < 0 and state.st_size > MAX_BYTES:
-            raise BadInput(f"{state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split the recording")
+            raise BadInput(f"{state.st_size} bytes, more than {MAX_BYTES >> 30} GiB; split it")
         with open(path, "rb") as file:
             data = file.read(count)
     except OSError as error:
         raise BadInput(f"cannot be read: {error.strerror or error}; check the path and its access rights") from None
     if not data:
-        raise BadInput("the file is empty (0 bytes); record it again or leave it out")
+        raise BadInput("the file is empty (0 bytes); write it again or leave it out")
     return data
 
 

@@ -9,7 +9,7 @@ options, so that the line is the complete command to try.
 import json
 import os
 import shlex
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -25,7 +25,7 @@ class Refused(BadInput):
 
     Attributes:
         why: the problem, without the file.
-        options: words of a command line that solve it, to be added to those given; empty if none does.
+        options: values of the options that solve it, to be added to those given; empty if none does.
         aside: text that may be omitted: the columns of the file.
         source: the file, or the first of several; empty until `about` adds it.
         named: the files as the message names them.
@@ -33,13 +33,14 @@ class Refused(BadInput):
     """
 
     def __init__(
-        self, why: str, options: Sequence[str] = (), aside: str = "", source: str = "", named: str = "", alone=True
+        self, why: str, options: Mapping[str, str] | None = None, aside="", source="", named="", alone: bool = True
     ):
         """Write the message; the arguments are the attributes."""
-        self.why, self.options, self.aside, self.source = why, tuple(options), aside, source
+        self.why, self.options, self.aside, self.source = why, dict(options or {}), aside, source
         # the proposed command holds the whole path
         self.named, self.alone = named or (os.path.basename(source) if options else source), alone
-        super().__init__(self.ending(f"; try: {shlex.join(options)}" if options else ""))
+        self.words = [word for option in self.options.items() for word in option]
+        super().__init__(self.ending(f"; try: {shlex.join(self.words)}" if options else ""))
 
     def ending(self, remedy: str) -> str:
         """Write the refusal in one line that ends with a remedy; the problem is shortened before it."""
@@ -55,16 +56,15 @@ class Refused(BadInput):
             argv: the arguments of the command.
         """
         # a check is tried without its files: the line stays short; nothing was written that --force must replace
-        names = (*self.options[::2], *(("--out", "--json") if argv[0] == "check" else ()))
+        names = (*self.options, *(("--out", "--json") if argv[0] == "check" else ()))
         kept = [word for word in _without(argv, names) if word != "--force"]
         # a name with control characters is shown cleaned, so its command must be typed anew
-        words = ["pitp", *map(cleaned, kept), *self.options]
+        words = ["pitp", *map(cleaned, kept), *self.words]
         return self.ending(f"; try: {shlex.join(words)}") if self.options else str(self)
 
     def in_folder(self) -> str:
         """Write the refusal with the entry of `pitp.toml` that suits this file and no other of the call."""
-        pairs = zip(self.options[::2], self.options[1::2], strict=True)
-        keys = ", ".join(f"{name[2:]} = {json.dumps(value, ensure_ascii=False)}" for name, value in pairs)
+        keys = ", ".join(f"{key[2:]} = {json.dumps(value, ensure_ascii=False)}" for key, value in self.options.items())
         folder, name = os.path.split(self.source)
         pattern = json.dumps("*" if self.alone else name, ensure_ascii=False)
         file = os.path.join(folder, FOLDER_FILE)
@@ -107,15 +107,15 @@ def together(refusals: Sequence[Refused], files: int) -> Refused:
         return refusals[0]
     # files of one kind are refused for one reason, reported once
     kinds: dict[tuple, list[str]] = {}
-    for refusal in refusals:
-        kinds.setdefault((refusal.why, refusal.options, refusal.aside), []).append(refusal.source)
+    for one in refusals:
+        kinds.setdefault((one.why, tuple(one.options.items()), one.aside), []).append(one.source)
     (why, options, aside), sources = next(((k, s) for k, s in kinds.items() if k[1]), next(iter(kinds.items())))
     several = [f"{os.path.basename(s[0])}{_more(s, 1)}: {k[0]}" for k, s in kinds.items() if s is not sources]
     named = ", ".join(map(os.path.basename, sources[:3])) + _more(sources, 3)
     if len(refusals) > 1:
         named = f"{len(refusals)} of {files} files are refused: {named}"
     alone = len(kinds) == 1 and len(refusals) == files
-    return Refused(" | ".join([why, *several]), options, aside if not several else "", sources[0], named, alone)
+    return Refused(" | ".join([why, *several]), dict(options), aside if not several else "", sources[0], named, alone)
 
 
 def _more(sources: Sequence[str], shown: int) -> str:

@@ -339,7 +339,7 @@ def mended(one: Loaded, rate: float | None = None) -> tuple[Masked, Gridded]:
         masked = replace(masked, turns=turns)
         return masked, on_grid(replace(rows, displacement=masked.displacement), rate)
     except BadInput as error:
-        remedy = ["--rate", "RATE"] if rate is None and "--rate" in str(error) else []
+        remedy = {"--rate": "RATE"} if rate is None and "--rate" in str(error) else None
         raise Refused(f"column {columns[0]!r}: {error}", remedy) from None
 
 

@@ -12,6 +12,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import islice
 from pathlib import Path
 
@@ -57,7 +58,23 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     Raises:
         BadInput: unreadable, compressed or not as its suffix says, binary, no table of numbers.
     """
-    data = plain_text(path)
+    return [text_tables(path, partial(plain_text, path), options)]
+
+
+def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, form: str = "", part: str = "") -> list:
+    """Return every table that a text may be, the likeliest first.
+
+    Args:
+        path: the file.
+        read: function that returns the text.
+        options: of reading.
+        form: what the text is, for the summary; otherwise its separator is named.
+        part: the sheet that it is, or empty.
+
+    Raises:
+        BadInput: no table of numbers.
+    """
+    data = read()
     spans = _first_lines(data)
     candidates, refusals = [], []
     for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options):
@@ -67,12 +84,13 @@ def tables(path: Path, options: ReadOptions) -> Parts:
                 body = _rows_only(data[spans[layout.first][0] :], layout)
                 if options.decimal is None:
                     layout = _with_decimal(body, layout)
-                candidates.append(_table(path, data, spans[layout.first][0], body, layout, encoding))
+                table = _table(path, read, data, spans[layout.first][0], body, layout, encoding, form)
+                candidates.append(replace(table, part=part))
         except BadInput as error:
             refusals.append(error)
     if not candidates:
         raise refusals[0]
-    return [candidates]
+    return candidates
 
 
 def single_column(path: Path) -> Table | None:
@@ -111,17 +129,17 @@ def _with_decimal(body: bytes, layout: Layout) -> Layout:
     if not _DECIMAL.search(body):
         raise Refused(
             "every comma has three digits after it, so it may be a decimal or a thousands separator",
-            ["--decimal", ","],
+            {"--decimal": ","},
         )
     return layout
 
 
-def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, encoding: str) -> Table:
+def _table(path: Path, read, data: bytes, start: int, body: bytes, layout: Layout, encoding: str, form: str) -> Table:
     above = data[:start].count(b"\n")
     check_count(body.count(b"\n"))
 
     def place(sample: int) -> str:
-        return f"sample {sample} (line {_line_of(path, sample, above)})"
+        return f"sample {sample} (line {_line_of(read(), sample, above)})"
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
         values = _parse(body, layout, places, encoding)
@@ -130,14 +148,14 @@ def _table(path: Path, data: bytes, start: int, body: bytes, layout: Layout, enc
     def texts(k: int) -> np.ndarray:
         return np.array([row[k] if k < len(row) else "" for row in _split(body, layout, encoding)])
 
-    parts = [f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
+    parts = [form or f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
     parts += ["a date above the table ignored"] if _DATE.search(data[:start]) else []
     # looked for line by line only where a row could have been left out
     blanks = data[start:].strip(b"\n").count(b"\n\n") if len(body) < len(data) - start - 1 else 0
-    form = ", ".join((*parts, *layout.notes))
-    return Table(path, layout.columns, load, place, form, hint=layout.hint, blanks=blanks, texts=texts)
+    words = ", ".join((*parts, *layout.notes))
+    return Table(path, layout.columns, load, place, words, hint=layout.hint, blanks=blanks, texts=texts)
 
 
 def plain_text(path: Path) -> bytes:
@@ -363,9 +381,9 @@ def _score(rows: Sequence[Sequence[str]], decimal: str) -> float:
     return good / filled * many / len(rows)
 
 
-def _line_of(path: Path, sample: int, above: int) -> int:
-    """Return the line number of a sample, counted from 1; the file is read again for it."""
-    lines = enumerate(plain_text(path).split(b"\n")[above:], above + 1)
+def _line_of(data: bytes, sample: int, above: int) -> int:
+    """Return the line number of a sample, counted from 1."""
+    lines = enumerate(data.split(b"\n")[above:], above + 1)
     filled = (number for number, line in lines if _is_row(line))
     return next(islice(filled, sample, None), above + 1 + sample)
 
