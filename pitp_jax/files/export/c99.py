@@ -58,7 +58,7 @@ def export_c(
 def write_sources(plan: Plan, folder: Path) -> None:
     """Write the C sources `pitp_<name>.h` and `pitp_<name>.c` into a folder."""
     values = substitutions(plan)
-    (folder / f"{values['id']}.h").write_text(filled("model.h", values), encoding="utf-8")
+    fill("model.h", values, folder / f"{values['id']}.h")
     writer = Writer("c", plan.single)
     # written first, because helpers and tables that precede them in the file are known only afterwards
     written = []
@@ -77,7 +77,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
         "force_of": "u * u" if square else "u",
         "voltage_of": root if square else "kept",
     }  # fmt: skip
-    (folder / f"{values['id']}.c").write_text(filled("model.c", values), encoding="utf-8")
+    fill("model.c", values, folder / f"{values['id']}.c")
 
 
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
@@ -97,7 +97,7 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
         "loop": loop_text(plan.gains), **sizes(plan),
     }  # fmt: skip
     for template in ("main.c", "Makefile", "loop.c", "teensy.ino", "README.md"):
-        (folder / template).write_text(filled(template, values), encoding="utf-8")
+        fill(template, values, folder / template)
 
 
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
@@ -189,6 +189,11 @@ def table(writer: Writer, values: np.ndarray) -> str:
         return ",\n".join("    {" + table(writer, row).strip() + "}" for row in values)
     words = [writer.number(v) for v in values]
     return ",\n".join("    " + ", ".join(words[k : k + 6]) for k in range(0, len(words), 6))
+
+
+def fill(template: str, values: dict[str, str], file: Path) -> None:
+    """Write a template with its keys replaced into a file."""
+    file.write_text(filled(template, values), encoding="utf-8")
 
 
 def filled(template: str, values: dict[str, str]) -> str:

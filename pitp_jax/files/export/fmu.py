@@ -23,7 +23,7 @@ from ...common.units import kind_of
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
 from . import plan as planning
-from .c99 import filled, frame, substitutions, write_sources
+from .c99 import fill, filled, frame, substitutions, write_sources
 from .plan import Plan, half_step, played, rate_error, whole_folder
 
 _BASES = {  # powers of SI's base units, by kind of quantity
@@ -80,10 +80,10 @@ def export_fmu(
         values = _values(plan, fmi)
         write_sources(plan, inside / "sources")
         values["api"] = filled(f"fmi{fmi}.c", values)
-        (inside / "sources" / "fmu.c").write_text(filled("fmu.c", values), encoding="utf-8")
-        (inside / "modelDescription.xml").write_text(filled(f"fmi{fmi}.xml", values), encoding="utf-8")
+        fill("fmu.c", values, inside / "sources" / "fmu.c")
+        fill(f"fmi{fmi}.xml", values, inside / "modelDescription.xml")
         if fmi == 3:
-            (inside / "sources" / "buildDescription.xml").write_text(filled("build.xml", values), encoding="utf-8")
+            fill("build.xml", values, inside / "sources" / "buildDescription.xml")
         _build(inside, values["id"], fmi)
         with ZipFile(stage / f"{values['id']}.fmu", "w", ZIP_DEFLATED) as archive:
             for file in sorted(p for p in inside.rglob("*") if p.is_file()):  # in the same order on every file system
@@ -151,7 +151,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     time = np.arange(len(test.voltage)) * plan.dt
     square = plan.model.input_map.one_sided
     values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
-    (folder / "check.py").write_text(filled("check_fmu.txt", values), encoding="utf-8")
+    fill("check_fmu.txt", values, folder / "check.py")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])
     (y,) = played(plan.predict_step(held=True), test.voltage, 0.0)
@@ -161,7 +161,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     rows = [np.append(time, time[-1] + plan.dt)[1:], y, test.planned, held[_FINER - 1 :: _FINER]]
     _csv(folder / f"{name}_ref.csv", ["time", "displacement", "command", "held"], rows)  # at the end of their step
     values |= {"half_ms": f"{500 * plan.dt:.3g}", "half_percent": f"{100 * half_step(plan):.2g}"}
-    (folder / "README.md").write_text(filled("README_fmu.md", values), encoding="utf-8")
+    fill("README_fmu.md", values, folder / "README.md")
     options = {"StartTime": 0.0, "StopTime": len(time) * plan.dt, "StepSize": plan.dt, "RelTol": 0.0}
     (folder / f"{name}_ref.opt").write_text("".join(f"{k},{v!r}\n" for k, v in options.items()), encoding="utf-8")
 

@@ -10,7 +10,7 @@ import numpy as np
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
 from . import plan as planning
-from .c99 import filled, frame, substitutions
+from .c99 import fill, frame, substitutions
 from .plan import Plan, Written, rate_error, whole_folder
 from .writing import Writer
 
@@ -37,7 +37,7 @@ def export_matlab(
     with whole_folder(folder) as stage:
         for way, written, outputs in (("predict", plan.predict, 1), ("inverse", plan.inverse, 2)):
             values = {**substitutions(plan), "functions": functions(written, outputs)}
-            (stage / f"pitp_{plan.name}_{way}.m").write_text(filled(f"{way}.m", values), encoding="utf-8")
+            fill(f"{way}.m", values, stage / f"pitp_{plan.name}_{way}.m")
         _write_check(plan, stage, frame(plan, cost))
     return cost
 
@@ -50,8 +50,8 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     values |= {name: ";\n".join(map(repr, column[rows].tolist())) for name, column in columns.items()}
     values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion[rows].tolist())
     values["force_error"] = "u .^ 2 - planned .^ 2" if square else "u - planned"
-    (folder / f"pitp_{plan.name}_check.m").write_text(filled("check.m", values), encoding="utf-8")
-    (folder / "README.md").write_text(filled("README_matlab.md", values), encoding="utf-8")
+    fill("check.m", values, folder / f"pitp_{plan.name}_check.m")
+    fill("README_matlab.md", values, folder / "README.md")
 
 
 def functions(written: Written, outputs: int) -> str:
