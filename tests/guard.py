@@ -10,6 +10,7 @@ Where a change is meant to move a figure, make that figure again, and say why in
 """
 
 import json
+import re
 import sys
 import tarfile
 import tempfile
@@ -24,7 +25,7 @@ import numpy as np
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax.files.model_file.parts import REMOVED
+from pitp_jax.files.model_file.parts import EFFECTS
 from pitp_jax.method.effects import CATALOGUE
 from pitp_jax.method.effects.spec import EffectSpec
 
@@ -48,7 +49,8 @@ def refused() -> set[str]:
     """The stored models that hold a form which the catalogue no longer has."""
     with tarfile.open(FOLDER / "models.tar.xz") as archive:
         texts = {name: some(archive.extractfile(f"{name}.pitp")).read().decode("latin-1") for name in names()}
-    return {name for name, text in texts.items() if any(f'"{key}"' in text for key in REMOVED)}
+    forms = {name: set(re.findall(r'"name": "(\w+: [^"]+)"', text)) for name, text in texts.items()}
+    return {name for name, some_forms in forms.items() if some_forms - set(EFFECTS)}
 
 
 def unpack(folder: Path) -> Path:

@@ -25,7 +25,7 @@ def test_a_form_that_the_catalogue_no_longer_has_is_refused_by_name(folder):
     gone = guard.refused()
     assert {"creep_three_branches", "drag_power", "found_term", "all_forms"} <= gone
     for name in gone:
-        with pytest.raises(BadInput, match=r"holds the effect '.*', which is no longer part of pitp_jax"):
+        with pytest.raises(BadInput, match=r"holds '.*', which this pitp_jax does not know"):
             pitp.load(folder / f"{name}.pitp")
 
 

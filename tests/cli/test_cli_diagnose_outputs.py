@@ -132,7 +132,7 @@ def test_figures_that_are_not_finite_are_null(bench, quick, call, tmp_path):
 def test_bad_input_is_one_line_and_writes_nothing(bench, quick, call, tmp_path):
     real, nominal = bench / "records", bench / "nominal"
     outputs = ["--out", tmp_path / "d", "--json", tmp_path / "j"]
-    assert "no such model file" in refused(call("diagnose", real, "--nominal", tmp_path / "none", *outputs))
+    assert "No such file" in refused(call("diagnose", real, "--nominal", tmp_path / "none", *outputs))
     assert "not a pitp_jax model" in refused(call("diagnose", real, "--nominal", real / "sine2.csv", *outputs))
     refused(call("diagnose", tmp_path / "nothing", "--nominal", nominal, *outputs))
     refused(call("diagnose", real, "--nominal", nominal, "--input-column", "voltage_mV", *outputs))

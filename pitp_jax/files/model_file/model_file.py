@@ -17,6 +17,7 @@ import json
 import math
 import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import equinox as eqx
@@ -29,9 +30,11 @@ from ...method.model.fitted import Fitted, fitted_of
 from ...method.model.model import Model
 from ...method.model.own_encoder import own_module
 from ...method.model.programs import on_device
+from ..containers.guard import file_bytes
+from ..containers.refusal import about
 from ..recordings.writing import write_bytes_atomic
 from .parts import build, decode, describe, encode, origin_of
-from .plausible import LARGEST_FILE, header_problems, leaf_problems, refuse
+from .plausible import header_problems, leaf_problems, refuse
 
 VERSION = 2
 _MAGIC = b"pitp_jax model "
@@ -126,25 +129,25 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
         >>> pitp.load(folder / "model.pitp").order
         2
     """
-    body = _checked_bytes(path)
-    path = cleaned(path)
-    try:
-        # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
-        text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
-        header = decode(text)
-        refuse(header_problems(header))  # before any part is built from it
-        model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
-        return Fitted(model, origin_of(header))
-    except BadInput as error:
-        raise BadInput(f"{path}: {error}") from None
-    except Exception as error:  # an intact digest over contents that no version of `save` writes
-        reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
-        if encoder is not None:
-            name = type(encoder).__name__
-            raise BadInput(
-                f"{path}: {name} does not match the stored encoder ({reason}); give an encoder of the same sizes"
-            ) from None
-        raise BadInput(f"{path}: not a usable model file ({reason}); write it again with pitp") from None
+    with about(Path(path)):
+        try:
+            body = _checked_bytes(Path(path))
+            # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
+            text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
+            header = decode(text)
+            refuse(header_problems(header))  # before any part is built from it
+            model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
+            return Fitted(model, origin_of(header))
+        except BadInput:
+            raise
+        except Exception as error:  # an intact digest over contents that no version of `save` writes
+            reason = cleaned(" ".join(f"{type(error).__name__}: {error}".split())[:120])
+            if encoder is not None:
+                name = type(encoder).__name__
+                raise BadInput(
+                    f"{name} does not match the stored encoder ({reason}); give an encoder of the same sizes"
+                ) from None
+            raise BadInput(f"not a usable model file ({reason}); write it again with pitp") from None
 
 
 def is_model_file(path: str | os.PathLike) -> bool:
@@ -153,44 +156,24 @@ def is_model_file(path: str | os.PathLike) -> bool:
         return file.read(len(_MAGIC)) == _MAGIC
 
 
-def _checked_bytes(path) -> bytes:
+def _checked_bytes(path: Path) -> bytes:
     """Read all bytes after the digest; refuse the file if the digest does not match."""
-    name, path = path, cleaned(path)
-    try:
-        # a pipe or a device could block forever, or never end
-        if os.path.exists(name) and not os.path.isdir(name) and not os.path.isfile(name):
-            raise BadInput(f"{path}: is not a regular file; give a model file")
-        with open(name, "rb") as file:
-            magic = file.readline(64)  # bounded, because another kind of file may have no line end
-            _check_version(path, magic)
-            if os.fstat(file.fileno()).st_size > LARGEST_FILE:
-                raise BadInput(
-                    f"{path}: larger than {LARGEST_FILE >> 20} MiB, more than any model needs; write it again"
-                )
-            known, body = file.readline(80), file.read()
-    except FileNotFoundError:
-        raise BadInput(f"{path}: no such model file; check the path") from None
-    except IsADirectoryError:
-        raise BadInput(f"{path}: is a folder; give a model file") from None
-    except (OSError, ValueError) as error:
-        if isinstance(error, BadInput):
-            raise
-        raise BadInput(f"{path}: cannot read the model file: {getattr(error, 'strerror', None) or error}") from None
-    if known != b"sha256 " + _sum(body) + b"\n":
-        raise BadInput(
-            f"{path}: damaged or incomplete model file (its checksum does not match); copy or write it again"
-        )
+    _check_version(file_bytes(path, 64))  # before the rest, because another kind of file may be large
+    known, _, body = file_bytes(path).partition(b"\n")[2].partition(b"\n")
+    if known != b"sha256 " + _sum(body):
+        raise BadInput("damaged or incomplete model file (its checksum does not match); copy or write it again")
     return body
 
 
-def _check_version(path, line: bytes) -> None:
-    version = line.removeprefix(_MAGIC).removesuffix(b"\n")
-    if not line.startswith(_MAGIC) or not line.endswith(b"\n") or not version.isdigit():
-        raise BadInput(f"{path}: is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
+def _check_version(begin: bytes) -> None:
+    line, end, _ = begin.partition(b"\n")
+    version = line.removeprefix(_MAGIC)
+    if not line.startswith(_MAGIC) or not end or not version.isdigit():
+        raise BadInput("is not a pitp_jax model file; write one with `pitp identify` or `pitp fit`")
     if int(version[:12]) != VERSION:
         raise BadInput(
-            f"{path}: model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; "
-            "update pitp_jax or write the model again"
+            f"model file of version {version.decode()[:12]}, this pitp_jax reads version {VERSION}; update pitp_jax or "
+            "write the model again"
         )
 
 

@@ -12,8 +12,9 @@ from ...common.units import INPUT_UNITS, OUTPUT_UNITS
 
 # far above any model, because a damaged size would allocate all memory
 _LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
+_LARGEST_SIZE = 4096  # of any other kind: no part is near this
+_WORDS = ("name", "of", "module")  # of a part; an adapted encoder is one of another
 _EFFECTS, _LEAVES = 64, 4096  # of a model; arrays of a file
-LARGEST_FILE = 1 << 28  # bytes
 
 
 def header_problems(header: dict) -> list[str]:
@@ -27,6 +28,8 @@ def header_problems(header: dict) -> list[str]:
     # each key is the text shown to the user; all that fail come in one line
     checks = {
         f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
+        f"hold {header['hold']!r}": header["hold"] in ("foh", "zoh", "bandlimited"),
+        f"substeps {header['substeps']!r}": 1 <= header["substeps"] <= _LARGEST_SIZE,
         f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,
         f"{len(header['leaves'])} arrays": len(header["leaves"]) <= _LEAVES,
         f"dt {domain['dt']!r}": _positive(domain["dt"]),
@@ -46,8 +49,9 @@ def header_problems(header: dict) -> list[str]:
     checks |= _history(origin)
     for part in (header["encoder"], header["memory"], header["drive"], header["input_map"], *header["effects"][:64]):
         for key, value in part.items():
-            number = isinstance(value, (int, float))  # words are refused when parts are built (`parts`)
-            fits = not number or (math.isfinite(value) and 0 <= value <= _LARGEST.get(key, math.inf))
+            # True is an int in Python and would be a size of 1
+            most = _LARGEST.get(key, _LARGEST_SIZE if isinstance(value, int) else math.inf)
+            fits = key in _WORDS or (type(value) in (int, float) and math.isfinite(value) and 0 <= value <= most)
             checks[f"{part['name']}: {key} {value!r}"] = fits and not (key == "horizon" and value == 0)
     long = header.get("long_record")
     if long is not None:
