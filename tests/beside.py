@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
@@ -45,18 +46,15 @@ class Composite:
             model = replace(whole, effects=unravel(theta))
             return ports.readings(model, rollout(model, volts, dt, rest_state(model, age)))
 
-        self._run = eqx.filter_jit(run)
+        self._run = eqx.filter_jit(jax.vmap(run))
 
-    def runs(self, form=None, values=()) -> list[np.ndarray]:
-        """Scaled readings under every drive."""
-        return [self.run(k, form, values) for k in range(len(self.case.series))]
-
-    def run(self, drive: int, form=None, values=()) -> np.ndarray:
-        """Scaled readings under one drive."""
-        theta = np.array(self._neutral)
-        if form is not None:
-            first = self._sizes[self.forms.index(form)]
-            theta[first : first + len(values)] = values
-        s = self.case.series[drive]
-        volts, age = jnp.asarray(s.voltage, jnp.float32), jnp.asarray(s.age, jnp.float32)
-        return np.asarray(self._run(jnp.asarray(theta), volts, age), float)
+    def runs(self, jobs) -> np.ndarray:
+        """Scaled readings of (drive, form or None, values), shape (jobs, T), side by side in one call."""
+        thetas = np.tile(self._neutral, (len(jobs), 1))
+        for theta, (_, form, values) in zip(thetas, jobs, strict=True):
+            if form is not None:
+                first = self._sizes[self.forms.index(form)]
+                theta[first : first + len(values)] = values
+        series = [self.case.series[drive] for drive, *_ in jobs]
+        volts, ages = (np.array([getattr(s, name) for s in series], np.float32) for name in ("voltage", "age"))
+        return np.asarray(self._run(thetas, volts, ages), float)

@@ -46,7 +46,7 @@ def double():
     """fn(pytree): its inexact arrays in float64 (call it under `jax.enable_x64(True)`)."""
 
     def cast(tree):
-        return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)
+        return jax.tree.map(lambda a: jnp.asarray(np.asarray(a, np.float64)) if eqx.is_inexact_array(a) else a, tree)
 
     return cast
 
@@ -101,7 +101,8 @@ def shake():
         rng = np.random.default_rng(seed)
 
         def push(a):
-            return a + jnp.asarray(size * rng.standard_normal(a.shape) / np.sqrt(max(a.shape[-1], 1)), a.dtype)
+            pushed = size * rng.standard_normal(a.shape) / np.sqrt(max(a.shape[-1], 1))
+            return jnp.asarray(np.asarray(a) + pushed.astype(a.dtype))  # by NumPy: nothing to compile
 
         return jax.tree.map(lambda a: push(a) if eqx.is_inexact_array(a) else a, encoder)
 
@@ -116,8 +117,10 @@ def nonlinear(linear, shake):
     a second mass beside the lags; `frugal` as of `CompactEncoder`.
     """
 
+    compact = eqx.filter_jit(CompactEncoder)  # one program in place of one for every draw
+
     def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, ring=(), frugal=False, **options):
-        encoder = CompactEncoder(order, len(ring) + len(tau), width=6, frugal=frugal, key=jax.random.key(key))
+        encoder = compact(order, len(ring) + len(tau), width=6, frugal=frugal, key=jax.random.key(key))
         shaken = shake(encoder, size, key)
         if not drag:
             shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))

@@ -1,6 +1,7 @@
 """A robot beside its simulator: corrections, units and names, and the demo's joint from end to end."""
 
 from dataclasses import replace
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -33,6 +34,11 @@ OPTIONS = {"progress": lambda line: None}
 
 def recordings(coefficients=A, late=0.0):
     """A linear joint's recordings; units are volts for want of a plant that moves by radians in this module."""
+    return list(_recordings(tuple(coefficients), late))
+
+
+@cache
+def _recordings(coefficients, late):
     made = []
     for k, hertz in enumerate((0.5, 1.5, 3.0)):
         u = 0.3 * np.sin(2 * np.pi * hertz * np.clip(TIME - 0.5, 0, None))
@@ -244,9 +250,23 @@ def _moved(records, sign, command, output):
     ]
 
 
+@cache
+def _identified(*drives):
+    """An identification of the drives and outputs of these bytes."""
+    columns = ((np.frombuffer(column) for column in drive) for drive in drives)
+    records = [pitp.Record(f"r{k}", t, u, y, displacement_unit="V") for k, (t, u, y) in enumerate(columns)]
+    return pitp.identify(records)
+
+
+def _identify(records):
+    """Identify once what is identified again: the same bytes."""
+    return _identified(*((r.time.tobytes(), r.voltage.tobytes(), r.displacement.tobytes()) for r in records))
+
+
 def _asked_of_diagnosis(robot, monkeypatch):
     """The simulator's model and the robot's recordings, with which the diagnosis would begin."""
     asked = []
+    monkeypatch.setattr(entry, "identify", _identify)
 
     def diagnosed(model, records, **options):
         asked.append((model, records))
@@ -267,7 +287,7 @@ def plain():
 
 @pytest.mark.parametrize(
     ("sign", "constants"),
-    [(1, (0.0, 0.0)), (1, (np.pi, np.pi)), (-1, (np.pi, np.pi)), (1, (0.0, 3.0)), (1, (0.004, -0.003))],
+    [(1, (np.pi, np.pi)), (-1, (np.pi, np.pi)), (1, (0.0, 3.0)), (1, (0.004, -0.003))],
 )
 def test_a_constant_of_the_log_is_no_distance(plain, sign, constants, monkeypatch):
     """Raw ticks and ticks less 2048: the same model of the simulator, the same recordings for the diagnosis."""
@@ -285,8 +305,7 @@ def test_a_constant_of_the_log_is_no_distance(plain, sign, constants, monkeypatc
 def test_a_gap_below_the_error_of_the_simulators_model_is_unknown(simulator, own, verdict, monkeypatch):
     found = diagnosis_cases.no_gap(diagnosis_cases.explained(simulator))
     monkeypatch.setattr(entry, "diagnose_model", lambda model, records, **options: replace(found, model=model))
-    identified = pitp.identify(recordings(), order=2, input_map="linear")
-    monkeypatch.setattr(entry, "model_of_simulator", lambda simulated, noise, options: (identified.model, None, own))
+    monkeypatch.setattr(entry, "model_of_simulator", lambda simulated, noise, options: (simulator, None, own))
     told = pitp.diagnose(recordings(), against=recordings())
     assert told.verdict == verdict and ("may hide" in told.robot.reason) == (verdict == "unknown")
     assert told.budget["simulator"]["share"] >= 0

@@ -147,7 +147,7 @@ def test_rest_is_feasible_within_the_force_of_the_sensors_noise(nonlinear, bound
         "discrete": pitp.inverse(model, still, kind="discrete")[1],
         "plan": plan.infeasible[plan.target],
         "stream": next(iter(pitp.invert_stream(model, [still], DT))).infeasible,
-        "export": [step.run(step.start(jnp.zeros(()), jnp.zeros(())), jnp.zeros(3))[1][1]],
+        "export": [jax.jit(step.run)(step.start(jnp.zeros(()), jnp.zeros(())), jnp.zeros(3))[1][1]],
     }
     assert {name: float(np.mean(mask)) for name, mask in masks.items()} == dict.fromkeys(masks, float(flagged))
     assert not plan.saturated.any()

@@ -71,12 +71,12 @@ def test_one_sine_determines_two_numbers():
 def test_the_input_map_is_the_one_that_leaves_clearly_less(drive):
     """A voltage that moves a length linearly: the square is usual, and given it stays, with a word on the other."""
     linear = replace(record([1.0], [0.3, 1.0], drive), displacement_unit="m")
-    chosen, given = identify([linear]), identify([linear], input_map="square")
+    chosen, given = identify([linear], order=1), identify([linear], order=1, input_map="square")
     assert chosen.model.input_map.name == "linear" and given.model.input_map.name == "square"
     assert chosen.remarks[0].startswith("With --input-map linear, ") and "was chosen" in chosen.remarks[0]
     assert given.remarks[0].startswith("With --input-map linear, ") and "was chosen" not in given.remarks[0]
     squared = replace(record([1.0], MODE, drive**2), voltage=drive, displacement_unit="m")
-    assert identify([squared]).model.input_map.name == "square"
+    assert identify([squared], order=2).model.input_map.name == "square"
 
 
 def test_no_plant_is_unstable_that_is_stable_with_the_other_map():
