@@ -206,33 +206,25 @@ def play(actuator: Plant, model, target: Target, frequency: float = np.nan) -> T
     )  # fmt: skip
 
 
-def error(demo: Demo, name: str, *, linear: bool = False) -> float:
-    """Return the rms error (%) of the trained (or the linear) model on one record; infinite if it diverged."""
-    measured = next(r for r in (*demo.train, *demo.test, demo.sweep) if r.name == name)
-    p = (demo.linear if linear else demo.predicted)[name]
-    return e_rms_percent(p.displacement, measured.displacement, p.scored)
-
-
-def noise_floor(demo: Demo, name: str) -> float:
-    """Return the rms of the sensor noise alone on one record, % of range."""
-    measured = next(r for r in (*demo.train, *demo.test) if r.name == name)
-    return 100.0 * virtual_actuator(demo.name).noise_std / float(np.ptp(measured.displacement))
+def _errors(demo: Demo, record: Record) -> tuple[float, ...]:
+    """Return the rms errors of the trained and the linear model on a record, and its sensor noise, % of range."""
+    runs = demo.predicted[record.name], demo.linear[record.name]
+    noise = 100 * virtual_actuator(demo.name).noise_std / float(np.ptp(record.displacement))
+    return *(e_rms_percent(p.displacement, record.displacement, p.scored) for p in runs), noise
 
 
 def tables(demo: Demo) -> tuple[Table, ...]:
     """Return Tables I (in-sample) and II (tracking) beside the paper's values, and a table of held-out records."""
     amplitude = SCALES[kind(demo.name)].amplitude
-    in_sample, held_out, tracking = [], [], []
-    for f, paper in PREDICTION_PAPER[demo.name].items():
-        name = nearest(demo.train, demo.name, f).name
-        ours = (error(demo, name), error(demo, name, linear=True), noise_floor(demo, name))
-        in_sample.append((f"{f:g}", paper, *ours))
-    for r in demo.test:
-        ours = (error(demo, r.name), error(demo, r.name, linear=True), noise_floor(demo, r.name))
-        held_out.append((r.name, *ours))  # the paper has no such records
-    held_out.append(("median", *(float(np.median([row[k] for row in held_out])) for k in (1, 2, 3))))
-    for t in demo.tracks:
-        tracking.append((f"{t.frequency:g}", TRACKING_PAPER[demo.name][int(t.frequency)], t.e_rms, t.self_check))
+    in_sample = [
+        (f"{f:g}", paper, *_errors(demo, nearest(demo.train, demo.name, f)))
+        for f, paper in PREDICTION_PAPER[demo.name].items()
+    ]
+    held_out = [(r.name, *_errors(demo, r)) for r in demo.test]  # the paper has no such records
+    _, *errors = zip(*held_out, strict=True)
+    held_out.append(("median", *(float(np.median(column)) for column in errors)))
+    paper = TRACKING_PAPER[demo.name]
+    tracking = [(f"{t.frequency:g}", paper[int(t.frequency)], t.e_rms, t.self_check) for t in demo.tracks]
     columns = ("this model (%)", "linear model (%)", "sensor noise (%)")
     return (
         Table(

@@ -133,10 +133,14 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
         swing = numbers.offset
         drive = sweep(_F_START, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
         return (Excitation("sweep", *drive),)
+    grid = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes] if part == "train" else numbers.test
+    digits = "03.0f" if part == "train" else "05.1f"
+    sines = tuple(
+        Excitation(f"sine_{f:{digits}}Hz_{a:.0f}V", *sine(f, numbers.sine_s, numbers.rate, a, numbers.offset, **edges))
+        for f, a in grid
+    )
     if part == "train":
-        grid = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes]
-        return tuple(_sine(f"sine_{f:03.0f}Hz_{a:.0f}V", f, a, numbers, edges) for f, a in grid)
-    sines = tuple(_sine(f"sine_{f:05.1f}Hz_{a:.0f}V", f, a, numbers, edges) for f, a in numbers.test)
+        return sines
     middle = numbers.frequencies[len(numbers.frequencies) // 3]
     shape = (middle, numbers.sine_s, numbers.rate, 0.8 * numbers.amplitudes[-1], numbers.offset)
     others: tuple[tuple[str, Waveform], ...] = (
@@ -144,8 +148,3 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
         ("complex", complex_trajectory(0.5 * shape[0], *shape[1:], seed=18, **edges)),
     )
     return sines + tuple(Excitation(name, *drive) for name, drive in others)
-
-
-def _sine(name: str, frequency: float, amplitude: float, numbers: _Protocol, edges: dict) -> Excitation:
-    drive = sine(frequency, numbers.sine_s, numbers.rate, amplitude, numbers.offset, **edges)
-    return Excitation(name, *drive)
