@@ -92,7 +92,12 @@ class SimToReal:
 
     def remarks(self) -> list[str]:
         """Write remarks for the user on the parameters, one sentence each."""
-        texts = _gain_lines(self.parameters)
+        factors = [p.robot / p.simulator for p in self.parameters if p.name == "position gain"]
+        texts = [
+            f"position gain x {number(k, 3)} (or all other torques x {number(1 / k, 3)}): these recordings do not "
+            "separate the two"
+            for k in factors
+        ]
         half, late = 500 * self.records[0].dt, next((p for p in self.parameters if p.name == "delay time"), None)
         if late is not None and late.robot > 0 and self.nominal.hold != "zoh":
             texts.append(
@@ -184,13 +189,3 @@ class SimToReal:
 def differs(p: Parameter) -> bool:
     """Return whether a parameter differs between simulator and robot by more than two standard errors."""
     return bool(abs(p.difference) > 2 * (p.stderr or 0.0))
-
-
-def _gain_lines(parameters: tuple[Parameter, ...]) -> list[str]:
-    """Write that another position gain explains all changed coefficients, or nothing if none does."""
-    factors = [p.robot / p.simulator for p in parameters if p.name == "position gain"]
-    return [
-        f"position gain x {number(k, 3)} (or all other torques x {number(1 / k, 3)}): these recordings do not separate "
-        "the two"
-        for k in factors
-    ]

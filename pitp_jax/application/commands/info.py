@@ -47,9 +47,8 @@ def print_lineage(summary: dict) -> None:
     """Print adaptations and every step by which the model was made, with checksums of the recordings."""
     for entry in summary["adapted"]:
         for name, c in entry["changed"].items():
-            low, high = c["ci95"]
-            unchanged = ", though 1 lies within its interval" if low <= 1 <= high else ""
-            print(f"adapted: {name} times {number(c['factor'])} ({number(low)} to {number(high)}){unchanged}")
+            interval = " to ".join(map(number, c["ci95"]))
+            print(f"adapted: {name} times {number(c['factor'])} ({interval})")
     print(f"this model: sha256 {summary['digest']}")
     for entry in summary["lineage"]:
         versions = ", ".join(f"{name} {value}" for name, value in entry.get("versions", {}).items())

@@ -44,18 +44,13 @@ class Behaviour:
     Attributes:
         run: displacement in the sweep from its first sample on, m.
         own: rms error on the model's own recordings, m; None if unknown.
-        settled: displacement at every operating point, m.
-        stiffness: dF/dx there; resonance_hz, damping: of the mode that moves the displacement most; nan without one.
-        errors: standard errors of ln stiffness, ln resonance and ln damping.
+        quantities: by words and unit: values and standard errors at the operating points; nan if unknown. The settled
+            displacement, the stiffness dF/dx, and resonance and damping of the mode that moves the displacement most.
     """
 
     run: Float[np.ndarray, " time"]
     own: float | None
-    settled: Float[np.ndarray, " points"]
-    stiffness: Float[np.ndarray, " points"]
-    resonance_hz: Float[np.ndarray, " points"]
-    damping: Float[np.ndarray, " points"]
-    errors: tuple[float | None, ...]
+    quantities: dict[tuple[str, str], Float[np.ndarray, "2 points"]]
 
 
 def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | None]:
@@ -69,11 +64,16 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | Non
     low, high = _common_range(a, b)
     points = low + np.array(_POINTS) * (high - low)
     drive, dt = _sweep(a, b, low, high)
-    one, two = (_behaviour(m, points, _SMALL * (high - low), drive, dt) for m in (a, b))
-    rows = [_free_run_row(one, two)]
     units = units_of(a)
+    one, two = (_behaviour(m, points, _SMALL * (high - low), drive, dt, units) for m in (a, b))
+    rows = [_free_run_row(one, two)]
     for k, level in enumerate(points):
-        rows += _rows_at(one, two, k, f"at {units.input.text(level)}", units)
+        for (what, unit), known in one.quantities.items():
+            both = np.stack([known[:, k], two.quantities[what, unit][:, k]], 1).tolist()
+            values, errors = ([v if np.isfinite(v) else None for v in pair] for pair in both)
+            if values != [None, None]:
+                at = f"{what} at {units.input.text(level)}"
+                rows.append(measured(at, values[0], values[1], unit, (errors[0], errors[1])))
     return rows, None
 
 
@@ -105,21 +105,31 @@ def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, f
     return low + 0.48 * (high - low) * (1 - wave), dt
 
 
-def _behaviour(fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarray, dt: float) -> Behaviour:
+def _behaviour(
+    fitted: Fitted, points: np.ndarray, small: float, drive: np.ndarray, dt: float, units: Units
+) -> Behaviour:  # fmt: skip
     model = fitted.model
     run = _run(model, drive, dt)
-    span = float(np.ptp(run))
     percent = own_error(fitted)
-    own = None if percent is None else percent * span / 100
-    errors = tuple(None if own is None else _error_of(model, k, run, own, drive, dt) for k in (None, 2, 1))
+    own = None if percent is None else percent * float(np.ptp(run)) / 100
     levels = np.stack([points - small, points, points + small])
     states = settled_states(model, levels.ravel(), model.dt, np.zeros(levels.size)).reshape(*levels.shape, -1)
     state, level = (on_device(a[1], model.coefficients.dtype) for a in (states, levels))
     by_state, by_input = map(np.asarray, _linearised(model, state, level, model.dt))
     below, at, above = states[..., 0] * float(model.scales.state[0])
     forces = np.asarray(model.input_map.force(levels))
-    modes = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)])
-    return Behaviour(run, own, at, (forces[2] - forces[0]) / (above - below), modes[:, 0], modes[:, 1], errors)
+    resonance, damping = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)]).T
+    factor, unit = units.coefficient(0)
+    error = np.nan if own is None else own
+    settled = np.stack([at, np.full(len(at), error)])
+    quantities = {(f"settled {units.output_word}", units.output.unit): units.output.shown(settled)}
+    for name, values, k in (
+        (("stiffness dF/dx", unit), factor * (forces[2] - forces[0]) / (above - below), None),
+        (("resonance", "Hz"), resonance, 2),
+        (("damping ratio", ""), damping, 1),
+    ):
+        quantities[name] = np.stack([values, _error_of(model, k, run, error, drive, dt) * values])
+    return Behaviour(run, own, quantities)
 
 
 def own_error(fitted: Fitted) -> float | None:
@@ -137,15 +147,13 @@ def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
     return float(model.output.polarity) * (run - run[0])
 
 
-def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, dt: float) -> float | None:
+def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, dt: float) -> float:
     """Return the standard error of the logarithm of a stiffness, resonance or damping: the change that errors hide."""
     if k is not None and k > model.order:
-        return None
+        return np.nan
     factors = np.where((np.arange(model.order + 1) == k) | (k is None), 1 + _STEP, 1.0)
     moved = _run(model.changed(factors), drive, dt)
-    change = float(np.sqrt(np.mean((moved - run) ** 2)))
-    if not change > 0:
-        return None
+    change = float(np.sqrt(np.mean((moved - run) ** 2))) or np.nan
     return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
 
 
@@ -184,22 +192,3 @@ def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
     known = percent * float(np.hypot(one.own, two.own))
     what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
     return Difference(what, "reference", apart, "% of range", None, apart > known)
-
-
-def _rows_at(one: Behaviour, two: Behaviour, k: int, at: str, units: Units) -> list[Difference]:
-    here, there = (float(units.output.shown(s.settled[k])) for s in (one, two))
-    known = [None if s.own is None else float(units.output.shown(s.own)) for s in (one, two)]
-    rows = [measured(f"settled {units.output_word} {at}", here, there, units.output.unit, (known[0], known[1]))]
-    quantities = (
-        ("stiffness dF/dx", "stiffness", *units.coefficient(0)),
-        ("resonance", "resonance_hz", 1.0, "Hz"),
-        ("damping ratio", "damping", 1.0, ""),
-    )
-    for j, (what, name, factor, unit) in enumerate(quantities):
-        values = [factor * float(getattr(s, name)[k]) for s in (one, two)]
-        if np.isfinite(values).any():
-            known = [(s.errors[j], v) for s, v in zip((one, two), values, strict=True)]
-            errors = [None if e is None else e * v for e, v in known]
-            here, there = (v if np.isfinite(v) else None for v in values)
-            rows.append(measured(f"{what} {at}", here, there, unit, (errors[0], errors[1])))
-    return rows
