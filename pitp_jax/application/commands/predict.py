@@ -81,25 +81,23 @@ def score(record: Record, prediction: Prediction) -> dict:
     `samples` counts the whole record, `missing` those without a measurement; the figures leave out those and
     the ones the initial state was estimated from. `rmse` is in the record's own unit.
     """
-    metrics: dict[str, float | None] = dict.fromkeys(
-        ("e_rms_percent", "zero_fitted_e_rms_percent", "nrmse_percent", "rmse")
-    )
-    error = np.where(prediction.scored, prediction.displacement - record.displacement, np.nan)
-    if not prediction.diverged:
-        measured = (prediction.displacement, record.displacement, prediction.scored)
-        metrics["e_rms_percent"] = _finite(e_rms_percent(*measured))
-        fitted = prediction.displacement - np.nanmean(error) if np.isfinite(error).any() else prediction.displacement
-        metrics["zero_fitted_e_rms_percent"] = _finite(e_rms_percent(fitted, *measured[1:]))
-        metrics["nrmse_percent"] = _finite(nrmse_percent(*measured))
-        metrics["rmse"] = _finite(from_base(rmse(*measured), record.displacement_unit))
+    measured, scored = record.displacement, prediction.scored
+    error, unit = np.where(scored, prediction.displacement - measured, np.nan), record.displacement_unit
+    offset = np.nanmean(error) if np.isfinite(error).any() else 0.0
+    metrics = {
+        "e_rms_percent": e_rms_percent(prediction.displacement, measured, scored),
+        "zero_fitted_e_rms_percent": e_rms_percent(prediction.displacement - offset, measured, scored),
+        "nrmse_percent": nrmse_percent(prediction.displacement, measured, scored),
+        "rmse": from_base(rmse(prediction.displacement, measured, scored), unit),
+    }
     return {
-        **metrics,
-        "rmse_unit": record.displacement_unit,
+        **{name: None if prediction.diverged else _finite(value) for name, value in metrics.items()},
+        "rmse_unit": unit,
         "begins": prediction.begins,
         "zero": {
-            "value": from_base(prediction.zero, record.displacement_unit),
-            "stderr": _finite(from_base(prediction.zero_stderr, record.displacement_unit)),
-            "unit": record.displacement_unit,
+            "value": from_base(prediction.zero, unit),
+            "stderr": _finite(from_base(prediction.zero_stderr, unit)),
+            "unit": unit,
         },
         "direction": int(prediction.direction),
         "samples": record.samples,
