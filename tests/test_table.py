@@ -326,7 +326,7 @@ def test_stamps_of_a_serial_monitor(tmp_path):
 
 def test_minutes_or_hours_are_asked_about(tmp_path):
     save_csv(tmp_path / "a.csv", {"Zeit": [f"00:{k % 60:02d}" for k in range(T)], "U [V]": VOLTAGE, "Weg [mm]": OUTPUT})
-    assert "hours and minutes, or minutes and seconds" in refused(tmp_path / "a.csv")
+    assert "expected hh:mm:ss" in refused(tmp_path / "a.csv")
 
 
 def test_lines_of_header_and_units_can_be_said(tmp_path):

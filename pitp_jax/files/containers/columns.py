@@ -16,9 +16,9 @@ from .held import hold_sparse, mean_of_held
 from .join import joined_parts
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
-from .refusal import Refused
+from .refusal import Refused, unrefused
 from .structure import keys_in_turn, refreshed, sign_bit, signed
-from .table import Column, Parts, Table
+from .table import Column, Table
 
 _MOST_PARTS = 1000  # recordings in a file: a column with more values is a signal, not a run number
 _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
@@ -82,7 +82,8 @@ def load_columns(path: Path, options: ReadOptions, quantities: Sequence[str]) ->
     if said.split_by in ("sheet", "group"):
         chosen = [_agreed(tables, said, quantities) for tables in parts]
         return [replace(_load(*one, said), label=one[0].part) for one in chosen]
-    table, choices = _first(parts, said, quantities)
+    # the first part that holds all wanted columns
+    table, choices = next(unrefused(lambda tables: _agreed(tables, said, quantities), parts))
     if said.split_by is None:
         return [_one_signal(_load(table, choices, said))]
     return _by_column(table, choices, said, said.split_by)
@@ -114,31 +115,13 @@ def _ours(table: Table) -> bool:
     return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
 
 
-def _first(parts: Parts, options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
-    """Return the first part of a file that holds all wanted columns, with the chosen columns."""
-    refusals = []
-    for tables in parts:
-        try:
-            return _agreed(tables, options, quantities)
-        except BadInput as error:
-            refusals.append(error)
-    raise max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
-
-
 def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
     """Return the table and columns on which all possible readings of a file part agree.
 
     Raises:
         BadInput: none can be read, or two differ.
     """
-    good, refusals = [], []
-    for table in tables:
-        try:
-            good.append((table, choose_columns(table, options, quantities)))
-        except BadInput as error:
-            refusals.append(error)
-    if not good:
-        raise refusals[0]
+    good = list(unrefused(lambda table: (table, choose_columns(table, options, quantities)), tables))
     # several encodings fit most bytes: the one whose names are words
     table, chosen = max(good, key=lambda one: _legible(one[0].columns))
     for other, choices in good:

@@ -182,4 +182,4 @@ def guarded(kind: str, function: Callable, *arguments):
         raise BadInput(f"needs the package {error.name}; run `pip install 'pitp_jax[{extra}]'`") from None
     except Exception as error:
         reason = cleaned(" ".join(str(error).split()) or type(error).__name__)
-        raise BadInput(f"cannot be read as a {kind} ({reason[:120]}); save or copy it again") from error
+        raise BadInput(f"cannot be read as {kind} ({reason[:120]}); save or copy it again") from error

@@ -15,6 +15,7 @@ from ...common.errors import BadInput, cleaned
 from ...common.units import spelt
 from .guard import check_columns
 from .names import read_header
+from .refusal import unrefused
 from .stamps import is_stamp
 from .table import Column
 
@@ -122,14 +123,8 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
             raise BadInput(f"line {header_line} is empty or not above the numbers; give another --header-line")
         above = [k for k in above if k == names[0]] or names
     plain_rows = [k for k in above if not rows.commented[k]]
-    readings, refusals = [], []
-    for k in (plain_rows or above)[:_MOST_NAMES]:  # a comment above a row of names is not a row of names
-        try:
-            readings.append(_named(bare, rows, k, units, widths, first))
-        except BadInput as error:
-            refusals.append(error)
-    if not readings and refusals:
-        raise refusals[0]
+    named = (plain_rows or above)[:_MOST_NAMES]  # a comment above a row of names is not a row of names
+    readings = list(unrefused(lambda k: _named(bare, rows, k, units, widths, first), named))
     return readings or [_unnamed(bare, rows, units, first, widths)]
 
 

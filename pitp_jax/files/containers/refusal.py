@@ -9,9 +9,10 @@ options, so that the line is the complete command to try.
 import json
 import os
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 from ...common.errors import BadInput, cleaned
 
@@ -94,6 +95,25 @@ def about(path: Path) -> Iterator[None]:
     except BadInput as error:
         one = error if isinstance(error, Refused) else Refused(str(error).removeprefix(f"{source}: "))
         raise Refused(one.why, one.options, one.aside, one.source or source) from None
+
+
+def unrefused(make: Callable[[Any], Any], tried: Iterable) -> Iterator[Any]:
+    """Yield what `make` returns for each one tried that it does not refuse.
+
+    Raises:
+        BadInput: it refuses all: the first refusal with options, otherwise the first.
+    """
+    refusals, good = [], False
+    for one in tried:
+        try:
+            made = make(one)
+        except BadInput as error:
+            refusals.append(error)
+            continue
+        good = True
+        yield made
+    if refusals and not good:
+        raise max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
 
 
 def together(refusals: Sequence[Refused], files: int) -> Refused:

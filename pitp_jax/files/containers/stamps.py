@@ -86,12 +86,11 @@ def _iso(text: str, order: str) -> str:
 
 def _hours(series) -> np.ndarray:
     """Convert times of day to seconds, continued over midnight; refuse `10:01`, which may be minutes and seconds."""
+    import pandas as pd
+
     parts = series.str.extract(r"^([\d:.]+) ?(.)?")  # P of 10:00:00 PM
     # hours above 24 are spans of time and continue
-    hours = parts[0].str.split(":", expand=True).astype(np.float64).to_numpy()
-    if hours.shape[1] == 2:
-        raise ValueError("hours and minutes, or minutes and seconds")
-    values = hours @ np.array([3600.0, 60.0, 1.0])
+    values = pd.to_timedelta(parts[0]).dt.total_seconds().to_numpy()
     half = parts[1].map({"A": 0.0, "P": _DAY / 2})
     values = np.where(half.isna(), values, values % (_DAY / 2) + half)
     return values + _DAY * np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY / 2)

@@ -98,7 +98,7 @@ def array_table(path: Path, stored: Iterable[Stored], form: str, part: str = "")
     columns = tuple(Column(cleaned(name), _text(unit)) for name, _, unit in arrays)
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [guarded(form, _loaded, arrays[k][1], columns[k].name) for k in places]
+        return [guarded(f"a {form}", _loaded, arrays[k][1], columns[k].name) for k in places]
 
     return Table(path, columns, load, sample, form, part)
 

@@ -70,4 +70,4 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     reader = next((reader for reader in readers if first.startswith(reader.begins)), None)
     if reader is None:
         raise BadInput(f"is not {readers[0].kind} as its suffix says; {readers[0].remedy}")
-    return guarded(reader.kind.partition(" ")[2], reader.tables, path, options)
+    return guarded(reader.kind, reader.tables, path, options)

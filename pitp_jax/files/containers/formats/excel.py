@@ -10,6 +10,7 @@ from ....common.errors import BadInput, cleaned
 from ..guard import check_archive, check_columns
 from ..header import is_number
 from ..options import ReadOptions
+from ..refusal import unrefused
 from ..table import Parts, Table
 from .text import text_tables
 
@@ -25,25 +26,22 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     import openpyxl
 
     book = openpyxl.load_workbook(path, read_only=True, data_only=True, keep_links=False)
-    parts, refusals = [], []
+
+    def tables_of(sheet: Any) -> list[Table]:
+        sheet.reset_dimensions()  # the size that a sheet states is often wrong
+        rows = list(islice(sheet.iter_rows(values_only=True), _ROWS))
+        return _sheet(path, rows, cleaned(sheet.title), options)
+
     try:
         titles = [cleaned(sheet.title) for sheet in book.worksheets]
+        if not titles:
+            raise BadInput("has no sheet of cells; save it as CSV")
         if options.sheet is not None and options.sheet not in titles:
             raise BadInput(f"has no sheet {options.sheet!r}; give --sheet one of {', '.join(titles)}")
-        for sheet in book.worksheets:
-            if options.sheet in (None, cleaned(sheet.title)):
-                # the size that a sheet states is often wrong
-                sheet.reset_dimensions()
-                rows = list(islice(sheet.iter_rows(values_only=True), _ROWS))
-                try:
-                    parts.append(_sheet(path, rows, cleaned(sheet.title), options))
-                except BadInput as error:
-                    refusals.append(error)
+        sheets = [sheet for sheet, title in zip(book.worksheets, titles, strict=True) if options.sheet in (None, title)]
+        return list(unrefused(tables_of, sheets))
     finally:
         book.close()
-    if not parts:
-        raise refusals[0] if refusals else BadInput("has no sheet; save it as CSV")
-    return parts
 
 
 def _sheet(path: Path, rows: list[tuple], title: str, options: ReadOptions) -> list[Table]:

@@ -24,7 +24,7 @@ from ..guard import check_count, file_bytes, gunzip
 from ..header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
 from ..names import read_header
 from ..options import ReadOptions
-from ..refusal import Refused
+from ..refusal import Refused, unrefused
 from ..stamps import is_stamp, seconds
 from ..table import Column, Parts, Table
 from .signatures import SIGNATURES
@@ -76,21 +76,19 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
     """
     data = read()
     spans = _first_lines(data)
-    candidates, refusals = [], []
-    for encoding in _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options):
-        lines = [data[a:b].decode(encoding) for a, b, _ in spans]
-        try:
-            for layout in _layouts(lines, [n for _, _, n in spans], options):
-                body = _rows_only(data[spans[layout.first][0] :], layout)
-                if options.decimal is None:
-                    layout = _with_decimal(body, layout)
-                table = _table(path, read, data, spans[layout.first][0], body, layout, encoding, form)
-                candidates.append(replace(table, part=part))
-        except BadInput as error:
-            refusals.append(error)
-    if not candidates:
-        raise refusals[0]
-    return candidates
+
+    def read_as(encoding: str) -> list[Table]:
+        lines, made = [data[a:b].decode(encoding) for a, b, _ in spans], []
+        for layout in _layouts(lines, [n for _, _, n in spans], options):
+            body = _rows_only(data[spans[layout.first][0] :], layout)
+            if options.decimal is None:
+                layout = _with_decimal(body, layout)
+            table = _table(path, read, data, spans[layout.first][0], body, layout, encoding, form)
+            made.append(replace(table, part=part))
+        return made
+
+    encodings = _encodings(b"\n".join(data[a:b] for a, b, _ in spans), options)
+    return [table for made in unrefused(read_as, encodings) for table in made]
 
 
 def single_column(path: Path) -> Table | None:
