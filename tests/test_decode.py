@@ -21,7 +21,8 @@ from pitp_jax.method.signal.excited import tabulate
 from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate import ports
 from pitp_jax.method.simulate.decoder import frozen_increment, rest_state, rollout
-from pitp_jax.method.simulate.prediction import initial_samples, outside_fraction, outside_words, predict
+from pitp_jax.method.simulate.moving_start import initial_samples
+from pitp_jax.method.simulate.prediction import outside_fraction, outside_words, predict
 
 DT = 4e-3
 COARSE = 1000 + 800 * np.random.default_rng(5).uniform(-1, 1, 26)  # V, linear between 26 samples

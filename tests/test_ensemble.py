@@ -14,7 +14,8 @@ from pitp_jax.files.model_file.ensemble import train_ensemble
 from pitp_jax.method.effects import effect
 from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate.decoder import rest_state, rollout, rollout_batch
-from pitp_jax.method.simulate.prediction import initial_samples, predict
+from pitp_jax.method.simulate.moving_start import initial_samples
+from pitp_jax.method.simulate.prediction import predict
 from pitp_jax.method.train.ensemble import Ensemble, predict_band
 from pitp_jax.method.train.settings import Settings
 from pitp_jax.method.train.training import train

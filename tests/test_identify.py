@@ -336,13 +336,13 @@ def test_a_delay_that_is_asked_for_and_vanishes_is_none(coefficients):
     assert errors(found.chosen, coefficients(2)).max() < 5
 
 
-@pytest.mark.parametrize(("hz", "damping", "order"), [(2.3, 0.02, 2), (2.7, 0.02, None)])
-def test_two_seconds_into_a_fast_sweep_of_ten(hz, damping, order):
+@pytest.mark.parametrize(("hz", "order"), [(2.3, 2), (2.7, None)])
+def test_two_seconds_into_a_fast_sweep_of_ten(hz, order):
     """The mode is found from a fit with a vanished delay; half of a slow pair is a real pole without a spring."""
     rate, time = 200.0, np.arange(2000) / 200.0
     u = 1500 * (1 - chirp(time, 0.3 * hz, 10.0, 3 * hz))
     w = 2 * np.pi * hz
-    top, bottom, _ = cont2discrete(([w * w], [1, 2 * damping * w, w * w]), 1 / rate, method="foh")
-    x = lfilter(np.ravel(top), bottom, u)
+    top, bottom, _ = of_kind(tuple, cont2discrete(([w * w], [1, 0.04 * w, w * w]), 1 / rate, method="foh"))
+    x = np.asarray(lfilter(np.ravel(top), bottom, u))
     found = identify([Record("r", time[:1600], u[400:], x[400:])], input_map="linear")
     assert order is None or found.chosen.order == order

@@ -1,9 +1,11 @@
 """How records begin: noise, rest, held, moving, and the sensor's zero and direction, planted in a linear ODE."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.signal import cont2discrete, lfilter, lsim
@@ -11,11 +13,14 @@ from typed import of_kind
 
 import pitp_jax
 from pitp_jax import Record
+from pitp_jax.method.effects import CATALOGUE
 from pitp_jax.method.identify.beginnings import find_beginnings
 from pitp_jax.method.identify.identification import identify
 from pitp_jax.method.signal.initial_state import first_known, level_groups, noise_std, rest_level, standing_drive
 from pitp_jax.method.signal.start import Response, estimate_start, first_part
 from pitp_jax.method.simulate.beginnings import beginnings
+from pitp_jax.method.simulate.decoder import rest_state, rollout
+from pitp_jax.method.simulate.prediction import predict
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
 TIME = np.arange(3000) * DT
@@ -32,6 +37,7 @@ def record(voltage, displacement, seed=0, start=0, noise=NOISE):
     return Record(f"r{seed}", TIME[: len(TIME) - start], voltage[start:], y[start:])
 
 
+NONE = np.array([np.nan])  # no run from a moving state
 POLES = OMEGA * (-0.1 + 1j * np.sqrt(0.99) * np.array([1, -1]))
 
 
@@ -41,7 +47,7 @@ def start_of(r, zeros=()):
     level = part.voltage[0] ** 2
     system, t = ([1e-9], [1 / OMEGA**2, 0.2 / OMEGA, 1]), np.arange(part.samples) * part.dt
     rest, held = (of_kind(tuple, lsim(system, part.voltage**2 - u, t))[1] + 1e-9 * u for u in (0.0, level))
-    return estimate_start(part, Response(rest, held, POLES, OMEGA, zeros))
+    return estimate_start(part, Response(rest, held, NONE, POLES, OMEGA, zeros))
 
 
 SINE = 1000 * (1 - np.cos(2 * np.pi * 3 * TIME))
@@ -54,7 +60,8 @@ def test_a_record_may_be_short_beside_the_period_of_the_model(omega):
     ramp = np.clip(TIME[:1000] - 0.5, 0, None)
     run = 1e-3 * np.cumsum(ramp) * DT
     found = estimate_start(
-        first_part(Record("r", TIME[:1000], ramp, 2e-3 + run), omega), Response(run, run, np.array([-omega]), omega)
+        first_part(Record("r", TIME[:1000], ramp, 2e-3 + run), omega),
+        Response(run, run, NONE, np.array([-omega]), omega),
     )
     assert (found.begins, found.direction) == ("rest", 1.0) and found.zero == pytest.approx(2e-3, abs=1e-9)
 
@@ -164,7 +171,7 @@ def test_a_running_motion_that_is_cut_moves_even_at_its_turning_points(rate):
         y = 1e-3 * np.exp(-0.01 * OMEGA * t) * np.sin(OMEGA * t + phase) + 1e-6 * rng.standard_normal(len(t))
         part = first_part(Record("a", t, 1 + t, y), OMEGA)
         held, poles = 1e-5 * part.voltage, OMEGA * np.array([-0.01 + 1j, -0.01 - 1j])
-        assert estimate_start(part, Response(held - held[0], held, poles, OMEGA)).begins == "moving"
+        assert estimate_start(part, Response(held - held[0], held, NONE, poles, OMEGA)).begins == "moving"
 
 
 @pytest.fixture(scope="module")
@@ -237,7 +244,7 @@ def test_two_starts_with_one_response_are_one():
     """A hold whose equilibrium is rest leaves no doubt; neither does a sine from rest."""
     part = first_part(record(HIGH, motion(HIGH)), OMEGA)
     run = motion(HIGH)[: part.samples]
-    found = estimate_start(part, Response(run, run, POLES, OMEGA))
+    found = estimate_start(part, Response(run, run, NONE, POLES, OMEGA))
     assert found.begins == "rest" and found.certainty > 0.99
     assert start_of(record(SINE, motion(SINE))).certainty > 0.99
 
@@ -252,7 +259,7 @@ def test_a_weak_model_without_mass_reverses_no_sensor(lead, direction):
     y = direction * x + NOISE * np.random.default_rng(3).standard_normal(len(x))
     part = first_part(Record("r", times, drive, y), omega)
     run = lsim(([0.5e-9], [1 / omega, 1]), part.voltage**2, np.arange(part.samples) * DT)[1]
-    found = estimate_start(part, Response(run, run, np.array([-omega]), omega, (0.0,), direction=1.0))
+    found = estimate_start(part, Response(run, run, NONE, np.array([-omega]), omega, (0.0,), direction=1.0))
     assert (found.begins, found.direction) == ("rest", direction)
 
 
@@ -264,7 +271,7 @@ def test_a_model_without_the_resonance_that_is_driven_reverses_no_sensor(gain):
     x = lsim(([1e-9], [1 / OMEGA**2, 0.4 / OMEGA, 1]), drive**2, times)[1]
     part = first_part(Record("r", times, drive, x + NOISE * np.random.default_rng(3).standard_normal(len(x))), omega)
     run = lsim(([gain * 1e-9], [1 / omega, 1]), part.voltage**2, np.arange(part.samples) * DT)[1]
-    found = estimate_start(part, Response(run, run, np.array([-omega]), omega, (0.0,), direction=1.0))
+    found = estimate_start(part, Response(run, run, NONE, np.array([-omega]), omega, (0.0,), direction=1.0))
     assert (found.begins, found.direction) == ("rest", 1.0)
 
 
@@ -385,8 +392,31 @@ def test_what_follows_later_does_not_decide_how_a_record_begins(nominal, kind, f
 def test_a_gap_longer_than_the_first_samples_leaves_a_moving_start(nominal):
     """The first 2,500 readings are lost: the start is estimated from those that follow."""
     y = np.concatenate([np.full(2500, np.nan), motion(np.tile(SINE, 2))[2500:]])
-    (begun,), (state,) = beginnings(nominal, [Record("late", np.arange(6000) * DT, np.tile(SINE, 2), y)], [0.0])
-    assert begun.begins == "moving" and state is None
+    (begun,), _ = beginnings(nominal, [Record("late", np.arange(6000) * DT, np.tile(SINE, 2), y)], [0.0])
+    assert begun.begins == "moving"
+
+
+@pytest.mark.parametrize(
+    ("form", "numbers", "cut"),
+    [
+        ("coulomb_friction: Coulomb", (0.1,), 3000),
+        ("coulomb_friction: Coulomb", (0.1,), 5000),
+        ("stiffening: cubic", (0.5,), 5000),
+        ("hysteresis: Bouc-Wen, either sign", (1.0, 0.6, -1.4), 5000),
+    ],
+)
+def test_a_record_cut_in_motion_is_moving_whatever_the_law(nominal, form, numbers, cut):
+    """The model that made the run starts it; its linear free responses explain the first period badly."""
+    (row,) = [r for r in CATALOGUE if r.key == form]
+    zero = jnp.asarray(1e-3)
+    model = replace(nominal, effects=(row(*map(jnp.asarray, numbers)),), output=replace(nominal.output, offset=zero))
+    time, phases = np.arange(11_000) * DT, np.random.default_rng(1).uniform(0, 2 * np.pi, 12)
+    waves = np.sin(2 * np.pi * 0.7 * np.outer(time, np.arange(1, 13)) + phases).sum(1)
+    u = 900 + 250 * waves / np.std(waves)
+    x = np.asarray(rollout(model, jnp.asarray(u), DT, rest_state(model)))[:, 0] * float(model.scales.state[0])
+    part = Record("cut", TIME, u[cut : cut + 3000], (x + 1e-3)[cut : cut + 3000])
+    (run,) = predict(model, [part])
+    assert run.begins == "moving" and run.zero == pytest.approx(1e-3)
 
 
 def test_one_function_decides_how_a_record_starts():
@@ -409,7 +439,7 @@ def test_a_joint_that_sticks_before_a_small_motion_reverses_no_sensor():
         0.14 + 0.8 * lsim(([omega], [1, omega]), part.voltage - u, np.arange(part.samples) * DT)[1] + 0.8 * u - 0.14
         for u in (0.0, part.voltage[0])
     )
-    found = estimate_start(part, Response(rest, held, np.array([-omega]), omega, (0.14,), direction=1.0))
+    found = estimate_start(part, Response(rest, held, NONE, np.array([-omega]), omega, (0.14,), direction=1.0))
     assert (found.begins, found.direction) == ("held", 1.0)
 
 
@@ -426,5 +456,5 @@ def test_a_slow_plant_in_motion_keeps_the_known_offset_beside_a_wrong_model(seed
     part = first_part(r, omega)
     t = np.arange(part.samples) * step
     rest, held = (of_kind(tuple, lsim(wrong, part.voltage - u, t))[1] + 2.3 * u for u in (0.0, part.voltage[0]))
-    found = estimate_start(part, Response(rest, held, np.roots(wrong[1]), omega, (-6.0,), direction=1.0))
+    found = estimate_start(part, Response(rest, held, NONE, np.roots(wrong[1]), omega, (-6.0,), direction=1.0))
     assert (found.direction, found.zero) == (1.0, -6.0)

@@ -44,6 +44,7 @@ class Response:
     Attributes:
         rest: displacement from rest, output unit, shape (T,).
         held: displacement from the equilibrium of u(0), shape (T,); nan if there is none.
+        moving: displacement from the state that its first samples show, shape (T,); nan if none is known.
         poles: of the model's modes, rad/s.
         omega: of the dominant mode, rad/s.
         zeros: known sensor offsets, output unit.
@@ -52,6 +53,7 @@ class Response:
 
     rest: np.ndarray
     held: np.ndarray
+    moving: np.ndarray
     poles: np.ndarray
     omega: float
     zeros: Sequence[float] = ()
@@ -168,7 +170,8 @@ def _free_run(part: Record, response: Response, kind: Begins, direction: float, 
 
 def _simulated(response: Response, kind: Begins) -> np.ndarray:
     """Return the response that a kind of start begins with; 0 if the model diverges, because it explains no motion."""
-    run = response.rest if kind == "rest" or not np.isfinite(response.held).all() else response.held
+    own = {"rest": response.rest, "held": response.held, "moving": response.moving}[kind]
+    run = next((r for r in (own, response.held) if np.isfinite(r).all()), response.rest)
     return run if np.isfinite(run).all() else np.zeros(len(run))
 
 

@@ -2,9 +2,9 @@
 
     rest     x(0) = 0, uncharged
     held     tokens(x) x + offset = F(u(0)), memories settled there
-    moving   the state is estimated from the first samples (`prediction`)
+    moving   the state is estimated from the first samples (`moving_start`)
 
-`method.signal.start` decides with the simulations from rest and from the equilibrium of u(0).
+`method.signal.start` decides with the simulations from these three states.
 """
 
 from collections.abc import Sequence
@@ -14,11 +14,12 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..model.model import Model
-from ..signal.initial_state import Beginning
+from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
 from ..signal.start import Response, estimate_start, first_part
 from .decoder import still_state
 from .model_runs import Models, evaluate, model_runs, models_of, runs_of, sample
+from .moving_start import moving_states
 
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
 
@@ -56,8 +57,8 @@ def settled_states(
 
 def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
-) -> tuple[list[Beginning], list[Float[np.ndarray, " state"] | None]]:
-    """Return how each record starts, and its initial state if it starts at rest or in equilibrium."""
+) -> tuple[list[Beginning], Float[np.ndarray, "records state"]]:
+    """Return how each record starts, and its initial state."""
     omega, dt, clock = model.natural_frequency, records[0].dt, np.asarray(ages, np.float64)
     low, high = model.domain.voltage_range
     span = float(high - low) if np.isfinite(high - low) and high > low else None
@@ -67,16 +68,21 @@ def beginnings(
     states = {
         "rest": evaluate(still, model, 0.0, 0.0, clock),
         "held": settled_states(model, voltage[:, 0], dt, clock),
+        "moving": moving_states(model, records, clock),
     }
     start = np.concatenate(list(states.values()))
-    readings = model.scales.state[0] * model_runs(model, np.tile(voltage, (2, 1)), dt, start)[1]
+    readings = model.scales.state[0] * model_runs(model, np.tile(voltage, (3, 1)), dt, start)[1]
     poles = np.roots(np.nan_to_num(model.physical_coefficients[::-1]))
     usual = (float(model.output.offset),), float(model.output.polarity)
     begun = [
-        estimate_start(p, Response(rest[: p.samples], held[: p.samples], poles, omega, *usual))
-        for p, rest, held in zip(parts, *np.split(readings, 2), strict=True)
+        estimate_start(p, Response(rest[: p.samples], held[: p.samples], moving[: p.samples], poles, omega, *usual))
+        for p, rest, held, moving in zip(parts, *np.split(readings, 3), strict=True)
     ]
-    return begun, [None if b.begins == "moving" else states[b.begins][k] for k, b in enumerate(begun)]
+    moving = [k for k, b in enumerate(begun) if b.begins == "moving"]
+    if moving:  # with the sensor offset and direction that were decided
+        turned = [aligned(records[k], begun[k], model.output) for k in moving]
+        states["moving"][moving] = moving_states(model, turned, clock[moving])
+    return begun, np.stack([states[b.begins][k] for k, b in enumerate(begun)])
 
 
 def with_zero_at_rest(begun: Sequence[Beginning]) -> list[Beginning]:

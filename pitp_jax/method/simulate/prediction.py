@@ -19,56 +19,16 @@ from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
 from ..model.programs import on_device
 from ..model.substeps import substeps
-from ..signal.initial_state import INITIAL_SAMPLES, Beginning, Begins, aligned, first_known
+from ..signal.initial_state import Beginning, Begins, aligned
 from ..signal.record import Record
 from ..signal.sets import alike, check_set, session_clock
 from . import ports
 from .beginnings import beginnings
-from .decoder import settled_state
 from .model_runs import evaluate, model_runs
+from .moving_start import initial_samples
 
-_STEP, _ITERATIONS = 1e-6, 12  # difference of a scaled state; Gauss-Newton
 _SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
 FAR = 1e4  # a run beyond this scaled displacement has diverged
-
-
-def estimate_state(
-    model: Model,
-    voltage: Float[np.ndarray, " time"],
-    displacement: Float[np.ndarray, " time"],
-    dt: float,
-    age: float = 0.0,
-) -> Float[np.ndarray, " state"]:
-    """Estimate the scaled initial state of a record that begins in motion, from its scaled first samples.
-
-    Gauss-Newton on the free run over S(0) and one level m at which every memory is assumed settled, with a weak prior
-    (1e-3) towards the mean displacement and no motion.
-    """
-    observed = np.isfinite(displacement)
-    prior = np.zeros(model.order + 1)
-    prior[[0, -1]] = displacement[observed].mean() if observed.any() else 0.0
-
-    def starts(rows):
-        return evaluate(_settled, model, voltage[0], age, *rows.T)
-
-    def residuals(rows):
-        x = model_runs(model, np.broadcast_to(voltage, (len(rows), len(voltage))), dt, starts(rows))[1]
-        return np.concatenate([(x - displacement)[:, observed], 1e-3 * (rows - prior)], axis=1)
-
-    best, steps = prior, _STEP * np.eye(len(prior), len(prior) + 1, 1).T
-    for _ in range(_ITERATIONS):
-        error, *moved = residuals(best + steps)
-        if not np.isfinite(moved).all():
-            break
-        move = np.linalg.lstsq((moved - error).T / _STEP, -error)[0]
-        after = residuals(best[None] + move)
-        # a shorter step if the full one overshoots
-        best = best + move * (1.0 if np.sum(after**2) < np.sum(error**2) else 0.2)
-    return starts(best[None])[0]
-
-
-def _settled(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
-    return row, settled_state(model, row[2:-1], row[-1], row[0], row[1])
 
 
 def at_rate(model: Model, dt: float) -> Model:
@@ -180,18 +140,14 @@ def begin(
     """Return the initial states, the samples used for each, and how each record starts, with offset and direction."""
     aged = session_clock(records) if aged is None else aged
     ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
-    begun, states = beginnings(model, records, ages)
-    starts, spent = [], []
-    for record, age, state, b in zip(records, ages, states, begun, strict=True):
-        samples = 0 if state is not None else first_known(record) + initial_samples(model, record)
-        starts.append(_estimated(model, aligned(record, b, model.output), age, samples) if state is None else state)
-        spent.append(min(samples, record.samples))
+    begun, starts = beginnings(model, records, ages)
+    spent = tuple(initial_samples(model, r) if b.begins == "moving" else 0 for r, b in zip(records, begun, strict=True))
     if aged and model.effects:
         # stretch by earlier records of the session remains (Mullins)
         turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
         far = reaches(model, turned)
         starts = evaluate(_resumed, model, far, *np.transpose(starts))
-    return on_device(starts, model.coefficients.dtype), tuple(spent), begun
+    return on_device(starts, model.coefficients.dtype), spent, begun
 
 
 def _resumed(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
@@ -204,25 +160,6 @@ def reaches(model: Model, records: Sequence[Record]) -> list[float]:
     far = [float(np.nanmax(np.abs(model.output.to_model(r.displacement)))) / scale for r in records]
     begins = [r.time[0] for r in records]
     return [max((f for f, b in zip(far, begins, strict=True) if b < own), default=0.0) for own in begins]
-
-
-def initial_samples(model: Model, record: Record) -> int:
-    """Return the number of samples used to estimate the initial state of a record that begins in motion.
-
-    1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record
-    """
-    omega = model.natural_frequency
-    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
-    return int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
-
-
-def _estimated(model: Model, record: Record, age: float, samples: int) -> Float[np.ndarray, " state"]:
-    """Estimate the scaled initial state of a record that begins in motion, from its first samples.
-
-    After an initial gap these samples follow the gap; the rollout starts before it.
-    """
-    x = model.output.to_model(record.displacement[:samples]) / model.scales.state[0]
-    return estimate_state(model, record.voltage[:samples], x, record.dt, age)
 
 
 def outside_fraction(model: Model, features: np.ndarray) -> float:

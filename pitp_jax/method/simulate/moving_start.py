@@ -1,0 +1,82 @@
+"""Estimate the state in which records start to move, from the free runs of a model over their first samples.
+
+    S(0), m = argmin sum (x(t; S(0), m) - y(t))^2 + r^2 |(S(0), m) - (mean y, 0, ..., mean y)|^2,    r = 1e-3
+
+m: the level at which every memory is assumed settled. Gauss-Newton, all records at once.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..model.model import Model
+from ..signal.initial_state import INITIAL_SAMPLES, first_known
+from ..signal.record import Record
+from .decoder import settled_state
+from .model_runs import evaluate, model_runs
+
+_STEP, _ITERATIONS, _PRIOR = 1e-6, 12, 1e-3  # difference of a scaled state; Gauss-Newton; r
+_SHORTER = 0.2  # of a step that overshoots
+
+
+def initial_samples(model: Model, record: Record) -> int:
+    """Return the number of samples used to estimate the initial state of a record that begins in motion.
+
+    1.5 periods of the dominant mode, at least 50 samples, at most a quarter of the record; after an initial gap they
+    follow the gap.
+    """
+    omega = model.natural_frequency
+    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
+    count = int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
+    return min(first_known(record) + count, record.samples)
+
+
+def moving_states(
+    model: Model, records: Sequence[Record], ages: Sequence[float] | Float[np.ndarray, " records"]
+) -> Float[np.ndarray, "records state"]:
+    """Estimate the scaled initial state of records from their first samples, read with the model's sensor.
+
+    Args:
+        model: any.
+        records: of one sampling rate.
+        ages: of the film at their first samples, s.
+    """
+    counts, dt, order = [initial_samples(model, r) for r in records], records[0].dt, model.order
+    given = list(zip(records, counts, strict=True))
+    voltage = np.stack([np.pad(r.voltage[:n], (0, max(counts) - n), mode="edge") for r, n in given])
+    read = [model.output.to_model(r.displacement[:n]) / model.scales.state[0] for r, n in given]
+    x = np.stack([np.pad(y, (0, max(counts) - len(y)), constant_values=np.nan) for y in read])
+    best = np.zeros((len(records), order + 1))
+    seen = np.isfinite(x)
+    best[:, [0, -1]] = (np.nansum(x, 1) / np.maximum(seen.sum(1), 1))[:, None]
+    prior, steps = best, _STEP * np.eye(order + 1, order + 2, 1).T
+
+    def starts(rows):
+        flat = rows.reshape(-1, order + 1)
+        repeated = np.repeat(np.column_stack([voltage[:, 0], ages]), len(flat) // len(records), axis=0)
+        return evaluate(_settled, model, *repeated.T, *flat.T)
+
+    def residuals(rows):
+        runs = model_runs(model, np.repeat(voltage, rows.shape[1], axis=0), dt, starts(rows))[1]
+        error = np.where(seen[:, None], runs.reshape(*rows.shape[:2], -1) - x[:, None], 0.0)
+        return np.concatenate([error, _PRIOR * (rows - prior[:, None])], axis=2)
+
+    for _ in range(_ITERATIONS):
+        both = residuals(best[:, None] + steps)
+        error = both[:, 0]
+        slopes = (both[:, 1:] - error[:, None]).mT / _STEP
+        finite = np.isfinite(both.sum((1, 2)))[:, None]  # a record whose runs diverge keeps its state
+        orthogonal, triangle = np.linalg.qr(np.where(finite[..., None], slopes, np.eye(*slopes.shape[1:])))
+        move = -np.linalg.solve(triangle, (orthogonal.mT @ error[..., None]))[..., 0]
+        after = residuals((best + move)[:, None])[:, 0]
+        better = (after**2).sum(1) < (error**2).sum(1)
+        move = np.where(finite, np.where(better, 1.0, _SHORTER)[:, None] * move, 0.0)
+        best = best + move
+        if np.abs(move).max() < _STEP:
+            break
+    return starts(best[:, None])
+
+
+def _settled(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
+    return row, settled_state(model, row[2:-1], row[-1], row[0], row[1])
