@@ -157,7 +157,7 @@ def start_beside(
         gain * respond(logs, part.voltage, step=part.dt, square=input_map == "square", hold="foh", settled=settled)
         for settled in (False, True)
     )
-    return estimate_start(part, Response(rest, held, np.full_like(rest, np.nan), modes(logs), omega, zeros))
+    return estimate_start(part, Response(rest, held, modes(logs), omega, zeros))
 
 
 def _with_zeros(

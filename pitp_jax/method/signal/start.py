@@ -30,7 +30,6 @@ _COLOURED = np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1])  # a: slow noise of t
 _LAGS = (0.0, 0.3, 1.0)  # rad of the dominant mode, by which the plant may follow the model
 _MOVING = 0.1  # probability of a start in motion in proportion to one at rest, and to a settled one
 _REVERSED = 0.01  # probability that a sensor is reversed, if the model's direction is known
-_POSSIBLE = 0.25  # least probability, after the first period, of a start in motion that the whole free run may select
 _CLEARLY, _TURNED = 0.5, 0.7  # rms error of a free run that is clearly better; of one with the other direction
 _SAME, _NEAR = 0.002, 4.0  # of the span, and standard errors: distance of an offset at rest from a known one
 _GROWN = 5.0  # log of the largest growth of an unstable mode
@@ -44,20 +43,20 @@ class Response:
     Attributes:
         rest: displacement from rest, output unit, shape (T,).
         held: displacement from the equilibrium of u(0), shape (T,); nan if there is none.
-        moving: displacement from the state that its first samples show, shape (T,); nan if none is known.
         poles: of the model's modes, rad/s.
         omega: of the dominant mode, rad/s.
         zeros: known sensor offsets, output unit.
         direction: usual sensor direction; 0 if unknown.
+        moving: displacement from the state that its first samples show, shape (T,); None if unknown.
     """
 
     rest: np.ndarray
     held: np.ndarray
-    moving: np.ndarray
     poles: np.ndarray
     omega: float
     zeros: Sequence[float] = ()
     direction: float = 0.0
+    moving: np.ndarray | None = None
 
 
 def first_part(record: Record, omega: float, span: float | None = None) -> Record:
@@ -127,8 +126,7 @@ def estimate_start(part: Record, response: Response) -> Beginning:
     certainty = float(probability[first])
     best = {k: _directed([_free_run(part, response, k, d) for d in (1.0, -1.0)], response.direction) for k in kinds}
     run = best[first]
-    others = [best[k] for k in kinds if k != "moving" or probability[k] > _POSSIBLE]
-    least = min(others, key=lambda r: r.error, default=run)
+    least = min((best[k] for k in kinds if k != "moving"), key=lambda r: r.error, default=run)
     if least.error < _CLEARLY * run.error:
         run, certainty = least, 1.0
     return _with_offset(part, response, run, certainty)
@@ -171,8 +169,8 @@ def _free_run(part: Record, response: Response, kind: Begins, direction: float, 
 def _simulated(response: Response, kind: Begins) -> np.ndarray:
     """Return the response that a kind of start begins with; 0 if the model diverges, because it explains no motion."""
     own = {"rest": response.rest, "held": response.held, "moving": response.moving}[kind]
-    run = next((r for r in (own, response.held) if np.isfinite(r).all()), response.rest)
-    return run if np.isfinite(run).all() else np.zeros(len(run))
+    runs = (run for run in (own, response.held, response.rest) if run is not None and np.isfinite(run).all())
+    return next(runs, np.zeros(len(response.rest)))
 
 
 def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: float) -> Beginning:

@@ -75,7 +75,7 @@ def beginnings(
     poles = np.roots(np.nan_to_num(model.physical_coefficients[::-1]))
     usual = (float(model.output.offset),), float(model.output.polarity)
     begun = [
-        estimate_start(p, Response(rest[: p.samples], held[: p.samples], moving[: p.samples], poles, omega, *usual))
+        estimate_start(p, Response(rest[: p.samples], held[: p.samples], poles, omega, *usual, moving[: p.samples]))
         for p, rest, held, moving in zip(parts, *np.split(readings, 3), strict=True)
     ]
     moving = [k for k, b in enumerate(begun) if b.begins == "moving"]
