@@ -117,10 +117,8 @@ def nonlinear(linear, shake):
     a second mass beside the lags; `frugal` as of `CompactEncoder`.
     """
 
-    compact = eqx.filter_jit(CompactEncoder)  # one program in place of one for every draw
-
     def make(order=2, key=0, size=0.15, tau=(0.02, 0.3), drag=True, ring=(), frugal=False, **options):
-        encoder = compact(order, len(ring) + len(tau), width=6, frugal=frugal, key=jax.random.key(key))
+        encoder = CompactEncoder(order, len(ring) + len(tau), width=6, frugal=frugal, key=jax.random.key(key))
         shaken = shake(encoder, size, key)
         if not drag:
             shaken = eqx.tree_at(lambda e: (e.damping.hidden.weight, e.damping_poly), shaken, _without_drag(shaken))

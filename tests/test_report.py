@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from diagnosis_cases import budget, candidate, no_gap, part, tied
+from diagnosis_cases import budget, candidate, explained, no_gap, part, tied
 from matplotlib import rcParams
 
 from pitp_jax.application.pages.diagnosis import figures
@@ -57,6 +57,13 @@ def read(diagnosis):
     return page, re.sub(r"\s+", " ", page.text)
 
 
+@pytest.fixture(scope="module")
+def read_tied(actuator):
+    """The tied diagnosis, its page and the page's text."""
+    diagnosis = tied(explained(actuator))
+    return diagnosis, *read(diagnosis)
+
+
 def test_the_first_screen_answers_which_where_and_how_far(explained):
     page, text = read(explained)
     screen = text[: text.index("The gap at a glance")]
@@ -74,20 +81,20 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     assert page.tags.count("svg") == len(figures.figures(explained)) == 5
 
 
-def test_tables_hold_every_candidate_and_every_recording(tied):
-    page, text = read(tied)
-    for row in tied.ranking:
+def test_tables_hold_every_candidate_and_every_recording(read_tied):
+    diagnosis, page, text = read_tied
+    for row in diagnosis.ranking:
         assert row.effect in text
     assert "delay (tied)" in text
     assert "limit = 5000 V" in text  # stored as its inverse
     assert "4.20·10⁷ V² s²/m²" in text
-    for trace in tied.traces:
+    for trace in diagnosis.traces:
         assert f"{trace.name}{'held out' if trace.heldout else 'fitted'}2000" in text
     assert page.tags.count("table") == 4
 
 
-def test_ties_are_said_first_and_come_with_an_experiment(tied):
-    page, text = read(tied)
+def test_ties_are_said_first_and_come_with_an_experiment(read_tied):
+    _, page, text = read_tied
     assert "verdict: explained by electrode_rc, or by delay" in text
     assert "do not separate electrode_rc from delay" in text
     assert "To separate electrode_rc from delay, play this: sine of 5 Hz" in text
