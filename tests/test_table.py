@@ -284,6 +284,16 @@ def test_empty_rows_without_a_clock_are_lost_samples(tmp_path):
     assert "empty lines" in refused(tmp_path / "a.csv", rate=1000)
 
 
+def test_a_row_with_a_time_alone_is_a_lost_sample(tmp_path):
+    time = np.arange(400) / 1000
+    rows = [f"{t:.3f},{1000 * np.sin(12 * t):.3f},{np.cos(12 * t):.6f}" for t in time]
+    rows[50] = "0.050,,"
+    (tmp_path / "a.csv").write_text("\n".join(["time_s,voltage_V,displacement_mm", *rows]))
+    (record,) = read(tmp_path / "a.csv")
+    assert record.recognised["lost"] == 1 and np.flatnonzero(np.isnan(record.displacement)).tolist() == [50]
+    np.testing.assert_allclose(record.voltage, 1000 * np.sin(12 * time), atol=0.1)
+
+
 def test_channels_of_tdms_have_their_own_clocks(tmp_path):
     nptdms = pytest.importorskip("nptdms")
 
