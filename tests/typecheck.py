@@ -55,11 +55,15 @@ def _of_value(value):
 def _of_container(value):
     if len(value) > 16:
         raise LookupError
-    return (type(value), *map(told, value.items() if type(value) is dict else value))
+    return (type(value), *map(told, value))
+
+
+def _of_dict(value):
+    return (*_of_container(value), *map(told, value.values()))
 
 
 _ways: dict[type, Any] = {int: _of_number, **dict.fromkeys((str, bool, type(None)), _of_value),
-         **dict.fromkeys((tuple, list, dict), _of_container)}  # fmt: skip
+         **dict.fromkeys((tuple, list), _of_container), dict: _of_dict, np.ndarray: _of_array}  # fmt: skip
 
 
 def told(value):
@@ -131,19 +135,23 @@ def remembering(fn: Any = None, *, typechecker) -> Any:
         check = _checks[definition] = _Check(fn, typechecker)
     seen = check.seen
 
+    ways, config = _ways, jaxtyping.config
+
     @wraps(fn)
     def call(*args, **options):
-        if jaxtyping.config.jaxtyping_disable:
+        if config.jaxtyping_disable:
             return fn(*args, **options)
         try:
-            # the key holds the type beside a str, so that an argument cannot equal the name of an option
-            key = (*map(told, args), *options, *map(told, options.values()))
+            key = (*[ways.get(type(a), told)(a) for a in args],)
+            if options:
+                # the key holds the type beside a str, so that an argument cannot equal the name of an option
+                key = (*key, *options, *map(told, options.values()))
             results = seen.get(key)
         except (LookupError, TypeError):
             return check(fn, args, options)
         out = fn(*args, **options) if results else check(fn, args, options)
         try:
-            found = told(out)
+            found = ways.get(type(out), told)(out)
         except LookupError:
             found = None
         if not results:
