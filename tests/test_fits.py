@@ -13,7 +13,7 @@ from pitp_jax.method.diagnose import fit
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import probability
 from pitp_jax.method.diagnose.fit import Fit, Fitter
-from pitp_jax.method.diagnose.handing_back import is_steady, stable
+from pitp_jax.method.diagnose.handing_back import at_their_rate, is_steady, stable
 from pitp_jax.method.diagnose.library import INDEX, PLACES, bounds, sections, slots_of_row
 from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.effects import lookup
@@ -49,6 +49,23 @@ def test_a_fit_finds_the_number_that_was_planted(stiff):
     assert found.value(GENT) == pytest.approx(0.25, rel=1e-2)  # another integrator at 50 steps a period
     rms = [np.sqrt(np.nanmean(r**2)) for r in found.residuals]
     assert max(rms) < 3 * max(s.noise for s in stiff.series) + 1e-3
+
+
+def test_what_is_handed_back_is_fitted_to_every_sample(nominal):
+    """Dry friction is found to 1 in 100,000 from all samples; means of more than ten are off by over 1 in 10,000."""
+    row, dt, time = lookup("coulomb_friction", "Coulomb"), 1e-3, np.arange(12_000) * 1e-3
+    (level,), plain = slots_of_row(row), replace(nominal, domain=replace(nominal.domain, dt=dt))
+    model = replace(plain, effects=(row(jnp.asarray(0.05)),))
+    u = 800 + 500 * np.sin(0.6 * np.pi * time) * np.sin(0.26 * np.pi * time + 1)
+    start = np.asarray(rest_state(model), np.float64)[None]
+    x = float(model.scales.state[0]) * model_runs(model, u[None], dt, start)[1][0]
+    case = build_case(plain, [pitp.Record("slow", time, u, x)])
+    slots = case.nominal.copy()
+    slots[INDEX[level]] = 0.03
+    (fit,) = Fitter(case).fit([Fit(("coulomb_friction",), (level,), slots, case.starts.copy())], 20)
+    whole = at_their_rate(fit, case, Fitter(case))
+    assert case.thinned > 10 and whole.value(level) == pytest.approx(0.05, rel=1e-5)
+    assert fit.value(level) != pytest.approx(0.05, rel=1e-4)
 
 
 @pytest.mark.slow

@@ -137,12 +137,13 @@ class Case:
         return rows
 
 
-def build_case(model: Model, records: Sequence[Record]) -> Case:
+def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) -> Case:
     """Thin the records, remove their offsets and directions, and estimate their initial states.
 
     Args:
         model: the nominal.
         records: whole recordings.
+        whole: keep every sample.
 
     Raises:
         BadInput: a nominal that diverges on a record.
@@ -158,7 +159,7 @@ def build_case(model: Model, records: Sequence[Record]) -> Case:
             raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
     nominal, others = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
-    k = thinning(model, nominal, turned)
+    k = 1 if whole else thinning(model, nominal, turned)
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains

@@ -1,8 +1,9 @@
 """Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
 
-The search has its own simulator, so a model counts only if the user's rollout confirms it: its error is below the
-nominal model's, no recording's error grows by more than HARM, and it stays bounded from rest under the largest voltage
-of the records and of the nominal. It then carries its own errors, so that it can be the nominal of the next diagnosis.
+The search sees means of several samples, so the model is fitted to all samples, and it counts only if the user's
+rollout confirms it: its error is below the nominal model's, no recording's error grows by more than HARM, and it stays
+bounded from rest under the largest voltage of the records and of the nominal. It then carries its own errors, so that
+it can be the nominal of the next diagnosis.
 """
 
 from collections.abc import Sequence
@@ -21,10 +22,12 @@ from ..simulate.model_runs import model_runs
 from ..simulate.prediction import predict
 from ..simulate.voltage_only import rollout
 from . import rules
+from .data import Case, build_case
 from .evidence import probability
+from .fit import Fit, Fitter
 from .library import CORE, FREE, SHIFT, model_of
 from .own_error import residual
-from .search import PARAMETERS, Hypothesis, Search
+from .search import PARAMETERS, STEPS, Hypothesis, Search
 from .traces import Trace
 from .verdict import Decision
 
@@ -61,6 +64,7 @@ def hand_back(
         # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
             continue
+        h = replace(h, fit=at_their_rate(h.fit, search.case, search.fitter))
         # in the package's own parts
         made, added = model_of(search.case.nominal, h.fit.slots, search.case.model, search.scale)
         made = replace(made, domain=made.domain.driven_by(records))
@@ -71,6 +75,17 @@ def hand_back(
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
             return h, (with_offset(made, records), added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
+
+
+def at_their_rate(fit: Fit, case: Case, searcher: Fitter) -> Fit:
+    """Fit to every sample of the recordings, from a fit to means; dry friction sticks elsewhere under a mean input."""
+    if case.thinned == 1:
+        return fit
+    whole = build_case(case.model, [s.record for s in case.series], whole=True)
+    fitter = Fitter(whole, searcher.budget)
+    fitter.bounds = searcher.bounds
+    (found,) = fitter.fit([fit.anew(starts=whole.starts.copy(), residuals=[])], STEPS)
+    return fit.again(slots=found.slots)
 
 
 def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:

@@ -44,7 +44,7 @@ BEAM, DEPTH = 2, 4  # fronts, effects of a set
 _FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
 _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps gain
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
-_STARTS, _FIRST_STEPS, _STEPS, _FOLD_STEPS = 4, 4, 14, 6  # starts of a set; first, all and fold steps
+_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 14, 6  # starts of a set; first, all and fold steps
 _LINEAR_STEPS = 25  # of the linear models, on which every set builds
 _REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
@@ -264,7 +264,7 @@ class Search:
         order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
         gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
-        self.fitter.fit([f for g in groups.values() for f in g], _STEPS)
+        self.fitter.fit([f for g in groups.values() for f in g], STEPS)
         groups = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         best = self._richer([self._plainest(g) for g in groups.values() if g])
         for fit in self._beside_structures(best) if self.refit else best:
@@ -324,7 +324,7 @@ class Search:
         slots[INDEX[old]] = self.case.nominal[INDEX[old]]
         names = tuple(row.name if n == name else n for n in h.names)
         one = h.fit.anew(names=names, free=(*free, new), slots=slots, residuals=[])
-        fits = [f for f in self.fitter.fit([one], _STEPS) if np.isfinite(f.cost)]
+        fits = [f for f in self.fitter.fit([one], STEPS) if np.isfinite(f.cost)]
         return next(iter(self._scored(fits)), None)
 
     def _settle(self, fits: Sequence[Fit]) -> None:
@@ -349,7 +349,7 @@ class Search:
                 slots, free = f.slots.copy(), (*f.free, *second)
                 slots[[INDEX[k] for k in second]] = 0.3 * f.value(strength), ratio * f.value(tau)
                 more.append((n, f.anew(free=free, slots=slots)))
-        self.fitter.fit([f for _, f in more], _STEPS)
+        self.fitter.fit([f for _, f in more], STEPS)
         best = list(fits)
         for n, f in more:
             if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
@@ -375,7 +375,7 @@ class Search:
                 kept = [INDEX[k] for k in (*own, *({*structure.fit.free} & {*f.free}))]
                 slots[kept] = f.slots[kept]
                 many.append((n, f.anew(free=free, slots=slots)))
-        self.fitter.fit([f for _, f in many], _STEPS)
+        self.fitter.fit([f for _, f in many], STEPS)
         for n, f in many:
             if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
@@ -432,7 +432,7 @@ class Search:
         kept, candidates = best, [k for k in self.movable if k in best.fit.free]
         while len(candidates) > 1:
             fits = [self._put_back(kept.fit, k) for k in candidates]
-            tried = self._scored([f for f in self.fitter.fit(fits, _STEPS) if np.isfinite(f.cost)])
+            tried = self._scored([f for f in self.fitter.fit(fits, STEPS) if np.isfinite(f.cost)])
             good = [h for h in tried if probability(kept.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
             if not good:
                 break
@@ -514,7 +514,7 @@ class Search:
                 free.append(k)
         names = tuple(n for n in fit.names if n in key)
         one = fit.anew(names=names, free=tuple(dict.fromkeys(free)), slots=slots)
-        (done,) = self.fitter.fit([one], _STEPS)
+        (done,) = self.fitter.fit([one], STEPS)
         done = min((done, self.waiting.get(key, done)), key=lambda f: f.cost)
         if np.isfinite(done.cost):
             self._settle([done])
