@@ -89,7 +89,7 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
     if time_constant is not None and np.isposinf(time_constant):
         return PIGains(0.0, 0.0, np.inf, np.inf, 1.0)
     if time_constant is not None and not time_constant > 0:
-        raise BadInput(f"--time-constant {time_constant:g}is not a positive number of seconds")
+        raise BadInput(f"--time-constant {time_constant:g} is not a positive number of seconds")
     tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
     if time_constant is None:
         return _shortest(tuned, slowest, dt, _CHOSEN, model)
