@@ -42,12 +42,15 @@ def table(rows: dict[str, dict]) -> str:
     """Markdown, and below it what the times were taken on."""
     lines = [_HEADER, tuple("---" for _ in _HEADER), *(cells(name, row) for name, row in rows.items())]
     text = [_aligned(lines)]
-    machines = [row["machine"] for row in rows.values() if "machine" in row]
-    loads = sorted(load for m in machines for load in np.atleast_1d(m["load"]))
-    if machines:
-        m = machines[-1]
-        versions = ", ".join(f"{k} {m[k]}" for k in ("python", "jax", "diffrax", "scipy", "torch") if m[k])
-        text.append(f"\n{m['processor']}, {m['cores']} cores, load {loads[0]:g} to {loads[-1]:g}; {versions}")
+    groups: dict[str, list[str]] = {}
+    for name, row in rows.items():
+        if m := row.get("machine"):
+            versions = ", ".join(f"{k} {m[k]}" for k in ("python", "jax", "diffrax", "scipy") if m[k])
+            groups.setdefault(f"{m['processor']}, {m['cores']} cores; {versions}", []).append(name)
+    loads = [load for row in rows.values() if "machine" in row for load in np.atleast_1d(row["machine"]["load"])]
+    if loads:
+        text += [f"\n{machine} ({', '.join(names)})" for machine, names in groups.items()]
+        text.append(f"\nLoad {min(loads):g} to {max(loads):g}.")
     return "\n".join(text)
 
 
