@@ -48,7 +48,7 @@ def test_fit_identifies_again_unless_the_order_is_given(overdamped, monkeypatch,
     asked = []
     monkeypatch.setattr(fit, "identify", lambda records, order, **_: asked.append(order) or overdamped)
     monkeypatch.setattr(fit, "trains_from_order_two", lambda found: True)
-    fit._identified(recorded(1.5), order="auto")
+    fit._identified(recorded(1.5), order="auto", input_map=None)
     assert asked == ["auto", 2] and "cannot add the mass" in capsys.readouterr().err
-    fit._identified(recorded(1.5), order=1)
+    fit._identified(recorded(1.5), order=1, input_map=None)
     assert asked == ["auto", 2, 1]
