@@ -270,7 +270,7 @@ def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Mo
 
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Run Algorithm 1 of the paper: yield (best model, history entry) after every stage."""
-    best_model, best = model, np.inf
+    best_model, best, constraint = model, np.inf, np.inf
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
