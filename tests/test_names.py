@@ -467,6 +467,8 @@ def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypa
         replace(hypothesis(("drag",), 0.5), residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
     )
     search.case = cast(Any, SimpleNamespace(**vars(search.case), nominal=OFF, model=model))
+    search.fitter = cast(Any, None)
+    monkeypatch.setattr(handing_back, "at_their_rate", lambda fit, *_: fit)
     for name, value in (("model_of", (model, [])), ("stable", (model, 0.5)), ("is_bounded", True)):
         monkeypatch.setattr(handing_back, name, lambda *_, value=value, **__: value)
     time = np.arange(64) * 1e-3
