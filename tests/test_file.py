@@ -308,7 +308,7 @@ def test_missing_folder_and_unwritable(tmp_path):
         model_file.load(tmp_path / "absent")
     with pytest.raises(BadInput, match="not a regular file"):
         model_file.load(tmp_path)
-    with pytest.raises(BadInput, match="null byte"):
+    with pytest.raises(BadInput, match="embedded null"):
         model_file.load("a\0b")
     with pytest.raises(BadInput, match="cannot write"):
         model_file.save(tmp_path / "absent" / "m", model())
