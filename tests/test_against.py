@@ -306,7 +306,10 @@ def test_a_gap_below_the_error_of_the_simulators_model_is_unknown(simulator, own
     found = diagnosis_cases.no_gap(diagnosis_cases.explained(simulator))
     monkeypatch.setattr(entry, "diagnose_model", lambda model, records, **options: replace(found, model=model))
     monkeypatch.setattr(entry, "model_of_simulator", lambda simulated, noise, options: (simulator, None, own))
-    told = pitp.diagnose(recordings(), against=recordings())
+    said = []
+    told = pitp.diagnose(recordings(), against=recordings(), progress=said.append)
+    pitp.diagnose(recordings(), against=recordings(), progress=said.append, seconds=9.0)
+    assert ["--seconds" in line for line in said if "identifying" in line] == [True, False]
     assert told.verdict == verdict and ("may hide" in told.robot.reason) == (verdict == "unknown")
     assert told.budget["simulator"]["share"] >= 0
 

@@ -13,7 +13,7 @@ from pitp_jax.method.diagnose import fit
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import probability
 from pitp_jax.method.diagnose.fit import Fit, Fitter
-from pitp_jax.method.diagnose.handing_back import at_their_rate, is_steady, stable
+from pitp_jax.method.diagnose.handing_back import at_their_rate, fitter_of_all, is_steady, stable
 from pitp_jax.method.diagnose.library import INDEX, PLACES, bounds, sections, slots_of_row
 from pitp_jax.method.diagnose.search import Search
 from pitp_jax.method.effects import lookup
@@ -62,10 +62,14 @@ def test_what_is_handed_back_is_fitted_to_every_sample(nominal):
     case = build_case(plain, [pitp.Record("slow", time, u, x)])
     slots = case.nominal.copy()
     slots[INDEX[level]] = 0.03
-    (fit,) = Fitter(case).fit([Fit(("coulomb_friction",), (level,), slots, case.starts.copy())], 20)
-    whole = at_their_rate(fit, case, Fitter(case))
+    start = Fit(("coulomb_friction",), (level,), slots, case.starts.copy())
+    (fit,) = Fitter(case).fit([start.again()], 20)
+    whole = at_their_rate(fit, fitter_of_all(case, Fitter(case)))
     assert case.thinned > 10 and whole.value(level) == pytest.approx(0.05, rel=1e-5)
     assert fit.value(level) != pytest.approx(0.05, rel=1e-4)
+    bounded = Fitter(case)
+    bounded.bounds = {level: (0.0, 0.04)}
+    assert at_their_rate(start, fitter_of_all(case, bounded)).value(level) == pytest.approx(0.04)
 
 
 @pytest.mark.slow

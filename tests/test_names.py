@@ -466,12 +466,16 @@ def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypa
     search = searched(
         replace(hypothesis(("drag",), 0.5), residuals=rows, evidence=evidence(rows, np.full(RECORDS, 1e-9)))
     )
-    search.case = cast(Any, SimpleNamespace(**vars(search.case), nominal=OFF, model=model))
+    search.case = cast(Any, SimpleNamespace(**vars(search.case), nominal=OFF, model=model, thinned=2))
     search.fitter = cast(Any, None)
-    monkeypatch.setattr(handing_back, "at_their_rate", lambda fit, *_: fit)
+    monkeypatch.setattr(handing_back, "fitter_of_all", lambda *_: "of all")
+    monkeypatch.setattr(handing_back, "at_their_rate", lambda fit, _: fit.again(slots=fit.slots + 1))
     for name, value in (("model_of", (model, [])), ("stable", (model, 0.5)), ("is_bounded", True)):
         monkeypatch.setattr(handing_back, name, lambda *_, value=value, **__: value)
     time = np.arange(64) * 1e-3
     records = [Record("sine", time, 100 * np.sin(time), np.sin(time))]
     decision = replace(decide(search, 0.0, 0.0, 6), alone=None)
-    assert handing_back.hand_back(search, decision, model, records, 1.0)[2] == handed
+    back, _, parts = handing_back.hand_back(search, decision, model, records, 1.0)
+    assert parts == handed
+    if handed:  # with the numbers of the fit to every sample
+        np.testing.assert_array_equal(back.fit.slots, decision.chosen.fit.slots + 1)

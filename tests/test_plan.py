@@ -19,6 +19,7 @@ from pitp_jax.application.pages.plan import page
 from pitp_jax.application.plan.expected_error import information, knowledge
 from pitp_jax.application.plan.next_recordings import choose, greedy, variance
 from pitp_jax.application.plan.strokes import strokes
+from pitp_jax.method.effects import lookup
 from pitp_jax.method.fit.parameters import parameters, with_parameters
 from pitp_jax.method.model.fitted import Fitted
 from pitp_jax.method.model.origin import Origin
@@ -205,6 +206,16 @@ def test_a_runs_information_is_that_of_its_jacobian(model, records):
     assert strokes(model, [records[0].voltage], 5e-3)[0, 0] == pytest.approx(
         1e-3 * np.abs(read(model, u)).max(), rel=1e-4
     )
+
+
+def test_a_level_informs_where_an_equilibrium_exists_and_otherwise_from_rest(linear):
+    """A held level moves a spring nowhere; without a spring nothing holds, and the run starts at rest."""
+    row, level = lookup("coulomb_friction", "smooth"), np.full(400, 500.0)
+    sprung = replace(linear(2), effects=(row(jnp.asarray(0.1), jnp.asarray(0.006)),))
+    free = replace(sprung, coefficients=sprung.coefficients * jnp.asarray([0.0, 1.0, 1.0]))
+    others = [level, 500 * np.sin(np.arange(400) / 20)]
+    assert [one.any() for one in information(sprung, others, 5e-3)] == [False, True]
+    assert [one.any() for one in information(free, others, 5e-3)] == [True, True]
 
 
 @pytest.mark.slow

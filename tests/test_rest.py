@@ -20,6 +20,7 @@ from pitp_jax.method.signal.initial_state import first_known, level_groups, nois
 from pitp_jax.method.signal.start import Response, estimate_start, first_part
 from pitp_jax.method.simulate.beginnings import beginnings
 from pitp_jax.method.simulate.decoder import rest_state, rollout
+from pitp_jax.method.simulate.moving_start import initial_samples, moving_states
 from pitp_jax.method.simulate.prediction import predict
 
 DT, OMEGA = 1e-3, 2 * np.pi * 6
@@ -391,8 +392,28 @@ def test_what_follows_later_does_not_decide_how_a_record_begins(nominal, kind, f
 def test_a_gap_longer_than_the_first_samples_leaves_a_moving_start(nominal):
     """The first 2,500 readings are lost: the start is estimated from those that follow."""
     y = np.concatenate([np.full(2500, np.nan), motion(np.tile(SINE, 2))[2500:]])
-    (begun,), _ = beginnings(nominal, [Record("late", np.arange(6000) * DT, np.tile(SINE, 2), y)], [0.0])
-    assert begun.begins == "moving"
+    late = Record("late", np.arange(6000) * DT, np.tile(SINE, 2), y)
+    (begun,), _ = beginnings(nominal, [late], [0.0])
+    assert begun.begins == "moving" and initial_samples(nominal, late) == 2500 + 250  # one and a half periods
+
+
+def test_the_states_of_records_are_those_of_each_alone_beside_one_that_diverges(nominal):
+    """A cubic spring under a hundred times the motion that it was made for."""
+    (row,) = [r for r in CATALOGUE if r.key == "stiffening: cubic"]
+    model, u = replace(nominal, effects=(row(jnp.asarray(0.5)),)), 800 + 300 * np.sin(4 * np.pi * TIME)
+    gentle, far = (Record("r", TIME, size * u, size * motion(u)) for size in (1.0, 100.0))
+    both, alone = (moving_states(model, some, np.zeros(len(some))) for some in ([gentle, far], [gentle]))
+    np.testing.assert_allclose(both[0], alone[0], atol=1e-6)
+    assert np.isfinite(both).all()
+
+
+def test_a_reversed_sensor_is_no_part_of_a_moving_start(nominal):
+    """The readings of a motion, mirrored: the same state starts it, so nothing rings behind the first samples."""
+    x, cut = motion(np.tile(HIGH, 2)), slice(3100, 6000)
+    mirrored = Record("mirrored", TIME[:2900], np.tile(HIGH, 2)[cut], -x[cut])
+    (run,) = predict(nominal, [mirrored])
+    assert (run.begins, run.direction) == ("moving", -1.0)
+    assert np.abs(run.displacement - mirrored.displacement)[run.scored].max() < 5e-3 * np.ptp(x)
 
 
 @pytest.mark.parametrize(

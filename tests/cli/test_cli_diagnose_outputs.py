@@ -61,6 +61,7 @@ def test_a_page_that_fails_loses_nothing_else(bench, quick, call, tmp_path, monk
     assert ended == code and ("report.html failed (RuntimeError: no ink)" in err) == (code == 0)
     written = set(tree(tmp_path / "d"))
     assert {command.MODEL, command.JSON} <= written and command.REPORT not in written
+    assert ("figures/where.png" in written) == (code == 0)
     assert json.loads((tmp_path / "j").read_text())["effects"] == list(quick.found.effects)
     model_file.load(tmp_path / "d" / command.MODEL)
 

@@ -15,7 +15,7 @@ from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
 from ...files.mjcf.write import identified_name
 from ...files.model_file.model_file import save
-from ...files.recordings.writing import write_signals
+from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.words import NEXT_CSV
 from ...method.model.lineage import descended
@@ -23,9 +23,9 @@ from ..against.entry import diagnose as run_diagnosis
 from ..against.mjcf import write_mjcf
 from ..against.result import SimToReal
 from ..pages.against import page
-from ..pages.diagnosis.figures import FIGURES
+from ..pages.diagnosis.figures import FIGURES, figures
 from ..pages.diagnosis.page import ranking, report
-from ..pages.drawing import write_page
+from ..pages.drawing import write_page, write_picture
 from .console import ProgressLine, print_table, say
 from .ours import check_replaceable
 from .outputs import MODEL, REPORT, check_outputs, staged, write_json
@@ -200,9 +200,12 @@ def _tidy(folder: Path, written: set[str]) -> None:
 
 
 def _write_pages(diagnosis: Diagnosis | SimToReal, robot: Diagnosis, folder: Path) -> None:
-    """Write the pages and their figures into a folder; a page that fails is reported and left out."""
+    """Write the pages and their figures into a folder; those that fail are reported and left out."""
     name = REPORT if robot is diagnosis else ROBOT
-    _attempt(name, lambda: write_page(folder / name, report(robot)))
+    drawn = _attempt("the figures", lambda: figures(robot)) or {}
+    for picture in drawn.values():  # before the page, which may fail alone, and makes them small
+        _attempt(f"the figure {picture.name}", lambda picture=picture: write_picture(folder, picture))
+    _attempt(name, lambda: write_text_atomic(folder / name, report(robot, drawn).html()))
     if isinstance(diagnosis, SimToReal):
         _attempt(REPORT, lambda: write_page(folder / REPORT, page(diagnosis)))
 

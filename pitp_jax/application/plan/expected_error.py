@@ -31,14 +31,12 @@ _AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
 _STILL = 1e-3  # of the largest range: a run that moves less carries no information
 
 
-def information(
-    model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float = 0.0
-) -> list[np.ndarray]:  # fmt: skip
+def information(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float = 0.0) -> list[np.ndarray]:
     """Return the information of simulated motions on the model's parameters, (P, P) each; 0 if diverged or motionless.
 
     Args:
         model: with P trained parameters.
-        voltages: V, from rest, or settled at the first value.
+        voltages: V, from rest, or settled at the first value if there is an equilibrium.
         dt: sampling interval, s.
         floor: errors are in % of sqrt(range^2 + floor^2), m, because the noise does not shrink with the motion.
     """
@@ -53,7 +51,8 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
     inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
     held = settled_states(model, drive[:, 0], dt, np.zeros(len(drive)))
-    start = np.where(drive[:, :1] != 0, held, np.asarray(rest_state(model)))
+    settled = (drive[:, :1] != 0) & np.isfinite(held).all(1, keepdims=True)
+    start = np.where(settled, held, np.asarray(rest_state(model)))
     x = model_runs(model, drive, dt, start)[1]
     finite = np.all(np.isfinite(x) & (np.abs(x) < FAR) | ~inside, axis=1)
     # diverged and padded samples carry no information, and must not bring nan into the sums

@@ -8,6 +8,7 @@ it can be the nominal of the next diagnosis.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -47,7 +48,7 @@ def hand_back(
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
-    error, alone = _error, decision.alone
+    error, alone, whole = _error, decision.alone, cache(lambda: fitter_of_all(search.case, search.fitter))
     # a set that is not judged may predict better than the judged one
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
     tried = [decision.chosen]
@@ -64,7 +65,8 @@ def hand_back(
         # parameters shared by machines that differ predict none of them
         if alone is not None and probability(alone.bare, h.evidence.bare, 1 - rules.GAIN) >= rules.SURE:
             continue
-        h = replace(h, fit=at_their_rate(h.fit, search.case, search.fitter))
+        if search.case.thinned > 1:
+            h = replace(h, fit=at_their_rate(h.fit, whole()))
         # in the package's own parts
         made, added = model_of(search.case.nominal, h.fit.slots, search.case.model, search.scale)
         made = replace(made, domain=made.domain.driven_by(records))
@@ -77,14 +79,16 @@ def hand_back(
     return search.given, (model, []), ()
 
 
-def at_their_rate(fit: Fit, case: Case, searcher: Fitter) -> Fit:
-    """Fit to every sample of the recordings, from a fit to means; dry friction sticks elsewhere under a mean input."""
-    if case.thinned == 1:
-        return fit
-    whole = build_case(case.model, [s.record for s in case.series], whole=True)
-    fitter = Fitter(whole, searcher.budget)
+def fitter_of_all(case: Case, searcher: Fitter) -> Fitter:
+    """Return a fitter that sees every sample of a case's recordings, with the bounds and the budget of another."""
+    fitter = Fitter(build_case(case.model, [s.record for s in case.series], whole=True), searcher.budget)
     fitter.bounds = searcher.bounds
-    (found,) = fitter.fit([fit.anew(starts=whole.starts.copy(), residuals=[])], STEPS)
+    return fitter
+
+
+def at_their_rate(fit: Fit, fitter: Fitter) -> Fit:
+    """Continue a fit to means with every sample; dry friction sticks elsewhere under the mean of an input."""
+    (found,) = fitter.fit([fit.anew(starts=fitter.case.starts.copy(), residuals=[])], STEPS)
     return fit.again(slots=found.slots)
 
 

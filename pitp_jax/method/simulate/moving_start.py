@@ -32,8 +32,9 @@ def initial_samples(model: Model, record: Record) -> int:
     return min(first_known(record) + count, record.samples)
 
 
+@np.errstate(over="ignore", invalid="ignore")  # of runs that diverge
 def moving_states(
-    model: Model, records: Sequence[Record], ages: Sequence[float] | Float[np.ndarray, " records"]
+    model: Model, records: Sequence[Record], ages: Float[np.ndarray, " records"]
 ) -> Float[np.ndarray, "records state"]:
     """Estimate the scaled initial state of records from their first samples, read with the model's sensor.
 

@@ -1,5 +1,6 @@
 """Write the page of a diagnosis: its first screen, the answers as cards, figures, candidates and recordings."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -16,9 +17,14 @@ from .figures import by_closed_fraction, figures, fraction_closed, refitted, sca
 _NEAREST = 3  # candidates named on a card
 
 
-def report(d: Diagnosis) -> Page:
-    """Return the page of a diagnosis: verdict, location, cause and reduction of the gap, figures, tables."""
-    drawn = figures(d)
+def report(d: Diagnosis, drawn: Mapping[str, Picture] | None = None) -> Page:
+    """Return the page of a diagnosis: verdict, location, cause and reduction of the gap, figures, tables.
+
+    Args:
+        d: the diagnosis.
+        drawn: its figures, where they are drawn already.
+    """
+    drawn = figures(d) if drawn is None else drawn
     sections = [
         [_where(d), _which(d), _how_far(d)],
         Section("The gap at a glance", [[drawn[name] for name in ("gap", "ranking") if name in drawn]]),
@@ -93,7 +99,7 @@ def budget_table(budget: dict) -> Table:
     return Table(header, rows, "The largest part first.")
 
 
-def _next(d: Diagnosis, drawn: dict[str, Picture]) -> list[Section]:
+def _next(d: Diagnosis, drawn: Mapping[str, Picture]) -> list[Section]:
     e = d.next_experiment
     if e is None:
         return []
