@@ -213,19 +213,19 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
     time = part.dt * np.arange(len(y))
     free = span * _free(response.poles, time) if kind == "moving" else np.empty((len(y), 0))
     run = _simulated(response, kind)[: len(y)]
+    driven = _simulated(response, "held" if kind == "moving" else kind)[: len(y)]  # by the input alone: what lags
     growth = np.minimum(1.0, omega * time) ** min(len(response.poles), 2)
-    columns = np.column_stack(
-        [np.where(seen, y, 0.0), time, growth, free, *(_lagged(run, omega * part.dt, g) for g in _LAGS)]
-    )
+    lagged = [run - driven + _lagged(driven, omega * part.dt, g) for g in _LAGS]
+    columns = np.column_stack([np.where(seen, y, 0.0), time, growth, driven, free, *lagged])
     means, share = block_means(columns, seen.astype(float), size)
     means, share = means[share > 0], share[share > 0]
-    output, time, growth = means[:, :3].T
-    modes, runs = np.split(means[:, 3:], [free.shape[1]], axis=1)
+    output, time, growth, expected = means[:, :4].T
+    modes, runs = np.split(means[:, 4:], [free.shape[1]], axis=1)
     noise = max(noise_std(part.displacement) / np.sqrt(size), _FINEST * span)
     apart = omega * np.abs(time[:, None] - time)
     # a force moves the plant within a third of a period
     ahead = np.arange(len(output)) + int(2 / (omega * size * part.dt))
-    far = np.maximum.accumulate(np.maximum(np.abs(output - output[0]), np.abs(runs[:, 0] - run[0])))
+    far = np.maximum.accumulate(np.maximum(np.abs(output - output[0]), np.abs(expected - driven[0])))
     motion = growth * np.minimum(far[np.minimum(ahead, len(far) - 1)], _FAR * span)
     model = np.outer(motion, motion) * np.exp(-0.5 * apart**2)
     errors = [np.diag(noise**2 / share) + (a * span) ** 2 * np.exp(-apart) + eta**2 * model
