@@ -209,7 +209,7 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
     y, seen, omega = part.displacement[:samples], part.observed[:samples], response.omega
     span = part.span or 1.0
     # a record may be shorter than a block of a slow mode
-    size = int(max(min(2 * np.pi / omega / part.dt / _PER_PERIOD, len(y) / _FEWEST), len(y) / _BLOCKS, 1))
+    size = int(max(min(period / _PER_PERIOD, len(y) / _FEWEST), len(y) / _BLOCKS, 1))
     time = part.dt * np.arange(len(y))
     free = span * _free(response.poles, time) if kind == "moving" else np.empty((len(y), 0))
     run = _simulated(response, kind)[: len(y)]
@@ -224,8 +224,8 @@ def _evidence(part: Record, response: Response, kind: Begins) -> float:
     noise = max(noise_std(part.displacement) / np.sqrt(size), _FINEST * span)
     apart = omega * np.abs(time[:, None] - time)
     # a force moves the plant within a third of a period
-    ahead = np.arange(len(output)) + int(2 / (omega * size * part.dt))
-    far = np.maximum.accumulate(np.maximum(np.abs(output - output[0]), np.abs(expected - driven[0])))
+    ahead = np.arange(len(output)) + int(period / np.pi / size)
+    far = np.maximum.accumulate(np.maximum(np.abs(output - output[0]), np.abs(expected - expected[0])))
     motion = growth * np.minimum(far[np.minimum(ahead, len(far) - 1)], _FAR * span)
     model = np.outer(motion, motion) * np.exp(-0.5 * apart**2)
     errors = [np.diag(noise**2 / share) + (a * span) ** 2 * np.exp(-apart) + eta**2 * model
