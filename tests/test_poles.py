@@ -173,3 +173,41 @@ def test_a_pole_far_above_the_samples_is_not_seen():
 def test_a_pole_too_fast_moves_no_other():
     moved = poles(bounded(logs_from_roots(np.array([-1e4, -16.0, -3 + 4j, -3 - 4j])), 0.0, 600.0))
     assert sorted(np.abs(moved)) == pytest.approx([5.0, 5.0, 16.0, 600.0])
+
+
+@pytest.mark.parametrize("hold", ["foh", "zoh"])
+@pytest.mark.parametrize("late", [0.0, 2.0, 3.4])
+def test_records_one_after_another_against_scipy_on_each(hold, late):
+    """Of different lengths, shorter than the delay too; two start at rest, two settled at their first input.
+
+    SciPy simulates each of them alone, five times as finely, with the input delayed by whole fine samples.
+    """
+    rng, lengths, settled = np.random.default_rng(5), (60, 17, 3, 41), np.array([False, True, True, False])
+    drives = [np.append(1.5 * s, rng.standard_normal(n - 1)) for n, s in zip(lengths, settled, strict=True)]
+    truth = []
+    for drive in drives:
+        at = np.arange(5 * len(drive) - 4) / 5
+        fine = np.interp(at, np.arange(len(drive)), drive) if hold == "foh" else drive[at.astype(int)]
+        before = 4500 + round(5 * late)
+        driven = lsim(system(LOGS[3]), np.append(np.full(before, drive[0]), fine),
+                      np.arange(before + len(fine)) * STEP / 5, interp=hold == "foh")[1]  # fmt: skip
+        truth.append(driven[4500::5][: len(drive)])
+    how = {"step": STEP, "square": False, "hold": hold, "settled": settled, "heads": np.cumsum([0, *lengths[:-1]])}
+    logs, drive = np.array(LOGS[3]), np.concatenate(drives)
+    found, by_logs, rate = respond_with_slopes(logs, drive, late=late, **how)
+    np.testing.assert_allclose(found, np.concatenate(truth), rtol=0, atol=1e-8)
+    np.testing.assert_allclose(by_logs.T, slopes(lambda z: respond(z, drive, late=late, **how), logs), atol=1e-7)
+    if late % 1:
+        early, after = (respond(logs, drive, late=late + h, **how) for h in (-1e-6, 1e-6))
+        np.testing.assert_allclose(rate, (early - after) / (2e-6 * STEP), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("hold", ["bandlimited", "cubic"])
+def test_no_record_reaches_into_its_neighbour(hold):
+    """One after another, each responds as alone."""
+    rng, lengths = np.random.default_rng(6), (40, 12, 25)
+    drives = [rng.standard_normal(n) for n in lengths]
+    how = {"step": STEP, "square": True, "hold": hold, "settled": True, "late": 1.3}
+    alone = [respond(np.array(LOGS[2]), drive, **how) for drive in drives]
+    both = respond(np.array(LOGS[2]), np.concatenate(drives), heads=np.cumsum([0, *lengths[:-1]]), **how)
+    np.testing.assert_allclose(both, np.concatenate(alone), rtol=0, atol=1e-12)

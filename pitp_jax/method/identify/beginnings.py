@@ -107,10 +107,9 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     gains: list[float] = []
     if len(problem.drive) == 1:
         return problem
-    for k, (output, weight) in enumerate(zip(problem.output, problem.weight, strict=True)):
-        unit = driven(logs, _STRUCTURE, problem, k)
-        free, _ = own_columns(logs, _STRUCTURE, problem, k)
-        columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), free])
+    runs, (free, _) = driven(logs, _STRUCTURE, problem), own_columns(logs, _STRUCTURE, problem)
+    for unit, own, output, weight in zip(runs, free, problem.output, problem.weight, strict=True):
+        columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), own])
         gains.append(project(weight * output, columns)[0][0] * np.std(unit))
     most = 1.0 if np.sum(gains) >= 0 else -1.0
     directions = [1.0 if most * g >= 0 else -1.0 for g in gains]

@@ -16,13 +16,15 @@ from functools import cache
 import numpy as np
 
 from ..model.model import Hold
-from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
+from .linear_ode import logs_from_roots
 from .order_fit import identifiable
 from .output_error import Problem, Structure, least_squares, poles_of
+from .rational_fit import fit_rational
 from .starts import best_starts, guesses, one_more
 
+ORDERS = tuple(range(1, 7))
 NEAR = 1.03
 _ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
@@ -44,7 +46,7 @@ def search(
     progress: Callable[[str], None],
 ) -> list[Candidate]:
     """Fit and return all candidates in ascending order."""
-    by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
+    by_response = cache(lambda order, delayed: _by_response(order, delayed, problem, response))
     roots = cache(lambda order: guesses(order, problem))
     candidates: list[Candidate] = []
     for order in orders:
@@ -134,7 +136,7 @@ def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.
     return params
 
 
-def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier: Sequence[Candidate]) -> Ending:
+def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier: Sequence[Candidate]) -> Ending:
     """Fit one candidate from the frequency response, and from more initial guesses if a simpler model fits better."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
@@ -142,11 +144,8 @@ def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if lower is None and order > 1 and len(problem.drive) > 1:
         bound = -np.inf  # asked for alone: the lines of several sines together look like a sweep
-    start, short = known_starts.get((order, delayed)), np.log(_DELAY * problem.fine)
-    if start is not None and delayed:
-        start = np.append(start[:-1], max(start[-1], short))
-    ends = [] if start is None else [_short(start, structure, problem)]
-    nested = [] if prompt is None else [np.append(prompt.params, short)]
+    ends = [_short(start, structure, problem) for start in by_response(order, delayed)]
+    nested = [] if prompt is None else [np.append(prompt.params, np.log(_DELAY * problem.fine))]
     nested += [] if lower is None else best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
     for some in (nested if ends else [], None):
         if ends and _settled(ends, bound, structure, problem):
@@ -155,6 +154,14 @@ def _fitted(structure: Structure, problem: Problem, known_starts, roots, earlier
             some = best_starts(structure, problem, roots(order), most=2) + ([] if ends else nested)
         ends += [_short(s, structure, problem) for s in some]
     return min(ends, key=lambda e: e[1], default=(np.zeros(0), np.inf, False))
+
+
+def _by_response(order: int, delayed: bool, problem: Problem, response: FrequencyResponse) -> list[np.ndarray]:
+    """Return the initial parameters that the frequency response gives; none if it is not rich enough."""
+    if not response.rich:
+        return []
+    found = fit_rational(response, problem.fine, order, delayed=delayed)
+    return [np.append(logs_from_roots(found.poles), [np.log(max(found.delay, _DELAY * problem.fine))] * delayed)]
 
 
 def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:

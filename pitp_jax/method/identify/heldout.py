@@ -80,15 +80,15 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
         # start from the fit of all samples; a few steps undo the influence of the third left out
         refitted = least_squares(params, structure, rest, 4, 1e-3)[0]
         solved = solve(refitted, structure, rest)
+        runs, (free, rings) = driven(refitted, structure, problem), own_columns(refitted, structure, problem)
         for k, e in enumerate(edges):
-            run = solved.gains[0] * driven(refitted, structure, problem, k)
-            own, rings = own_columns(refitted, structure, problem, k)
             # a real mode's free response is drift or creep and continues; a ringing mode gets no credit
-            run = run + own[:, ~rings] @ solved.own[k][~rings]
+            sizes = solved.own[k] * ~rings[: len(solved.own[k])]
+            run = solved.gains[0] * runs[k] + free[k] @ sizes
             for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS):
                 block = slice(*e[j : j + 2])
                 weight = problem.weight[k][block].copy()
-                if block.start == 0 and len(rings):  # the same for every candidate, whatever rings in it
+                if block.start == 0 and len(sizes):  # the same for every candidate, whatever rings in it
                     weight[: len(weight) // 2] = 0.0
                 if not weight.sum():
                     continue

@@ -5,7 +5,7 @@
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
 Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
-optimistix (`frequency_fit`) or from ARX models (`starts`), order, delay and hold together by held-out blocks
+SciPy (`rational_fit`) or from ARX models (`starts`), order, delay and hold together by held-out blocks
 (`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 
@@ -37,9 +37,8 @@ from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
 from ..signal.sets import check_set
 from .beginnings import find_beginnings
-from .candidates import HALF, NEAR, choose, search, without_spring
+from .candidates import HALF, NEAR, ORDERS, choose, search, without_spring
 from .explained import explains, is_noise
-from .frequency_fit import ORDERS
 from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_response
 from .heldout import Candidate, out_of_fold
 from .numerator import needed_zeros
@@ -399,17 +398,19 @@ def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> 
 
 def _errors(chosen: Candidate, problem: Problem) -> Table:
     """Tabulate the errors on the records; a settled record has the sensor offset of its start, as in a prediction."""
-    places = range(len(problem.drive))
-    driven_runs = [driven(chosen.params, chosen.structure, problem, k) for k in places]
-    solved, runs, errors = solve(chosen.params, chosen.structure, problem, driven_runs), [], []
-    for k in places:
-        error, drive = np.where(problem.weight[k] > 0, solved.residuals[k], np.nan), problem.drive[k]
-        if problem.beginnings[k].begins == "held":
+    responses = driven(chosen.params, chosen.structure, problem)
+    free, _ = own_columns(chosen.params, chosen.structure, problem)
+    solved, errors = solve(chosen.params, chosen.structure, problem, responses), []
+    runs = [problem.scale * (solved.gains[0] * run + own @ sizes)
+            for run, own, sizes in zip(responses, free, solved.own, strict=True)]  # fmt: skip
+    for residual, weight, drive, b in zip(
+        solved.residuals, problem.weight, problem.drive, problem.beginnings, strict=True
+    ):
+        error = np.where(weight > 0, residual, np.nan)
+        if b.begins == "held":
             stands = int(np.argmax(np.abs(drive - drive[0]) > _STANDS * np.ptp(drive)))
             first = error[: max(stands, INITIAL_SAMPLES)]
             error = error - (first[np.isfinite(first)].mean() if np.isfinite(first).any() else 0.0)
-        own = own_columns(chosen.params, chosen.structure, problem, k)[0] @ solved.own[k]
-        runs.append(problem.scale * (solved.gains[0] * driven_runs[k] + own))
         errors.append(problem.scale * error)
     return error_table(runs, errors, problem.dt)
 

@@ -121,28 +121,21 @@ def pole_slopes(logs: Float[np.ndarray, " n"]) -> Complex[np.ndarray, "n n"]:
     return slopes
 
 
-def respond(
-    logs: Float[np.ndarray, " n"],
-    drive: Float[np.ndarray, " time"],
-    *,
-    step: float,
-    square: bool,
-    hold: str,
-    settled: bool = False,
-    late: float = 0.0,
-) -> Float[np.ndarray, " time"]:
+def respond(logs: Float[np.ndarray, " n"], drive: Float[np.ndarray, " time"], **how) -> Float[np.ndarray, " time"]:
     """Simulate the response with unit static gain to the input voltage^2 (or voltage), shape (time,).
 
     Args:
         logs: of the pole coefficients, in rad per unit of time.
-        drive: voltage at the samples.
-        step: duration of one sample in the unit of time of the poles.
-        square: whether the force is the square of the voltage.
-        hold: "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth force).
-        settled: start from the equilibrium of the first sample, not from rest.
-        late: delay in samples; exact between them.
+        drive: voltage at the samples of one record, or of several, one after another.
+        how: `step`, duration of one sample in the unit of time of the poles;
+            `square`, whether the force is the square of the voltage;
+            `hold`, "foh", "zoh", "bandlimited" (foh on the voltage read four times a sample) or "cubic" (a smooth
+            force);
+            `settled`, start from the equilibrium of the first sample, not from rest; one for all records or one each;
+            `late`, delay in samples; exact between them;
+            `heads`, index of every record's first sample.
     """
-    return _simulated(logs, drive, False, step, square, hold, settled, late)[0]
+    return _simulated(logs, drive, False, **how)[0]
 
 
 def respond_with_slopes(
@@ -154,42 +147,47 @@ def respond_with_slopes(
 
 
 def _simulated(
-    logs: np.ndarray, drive: np.ndarray, slopes: bool, step: float, square: bool, hold: str, settled=False, late=0.0
+    logs, drive, slopes: bool, *, step: float, square: bool, hold: str, settled=False, late=0.0, heads=(0,)
 ) -> Float[np.ndarray, "rows time"]:
     """Return the response; with `slopes` its derivatives by the logarithms and by time in the rows below it."""
+    heads = np.asarray(heads)
     if hold == "bandlimited":
-        fine = between(drive, "bandlimited", np.arange(_FINER) / _FINER, np).reshape(-1)
-        return _simulated(logs, fine, slopes, step / _FINER, square, "foh", settled, _FINER * late)[:, ::_FINER]
-    rows, level = _inputs(drive, square, hold, settled)
+        fractions = np.arange(_FINER) / _FINER
+        fine = [between(part, "bandlimited", fractions, np).reshape(-1) for part in np.split(drive, heads[1:])]
+        return _simulated(logs, np.concatenate(fine), slopes, step=step / _FINER, square=square, hold="foh",
+                          settled=settled, late=_FINER * late, heads=_FINER * heads)[:, ::_FINER]  # fmt: skip
+    rows, level = _inputs(drive, square, hold, settled, heads)
     z, moves = poles(logs) * step, pole_slopes(logs) * step
-    # u(t - late): delayed by whole samples, then advanced by a part of a sample, which the exact step allows
-    whole = min(int(np.ceil(late)), len(drive) - 1)
-    part = max(whole - late, 0.0)
-    runs = np.zeros((len(logs) + 2 if slopes else 1, len(drive)))
+    # u(t - late): the mode at the sample before t - late, advanced by a part of a sample, which the exact step allows
+    whole = min(int(late), len(drive) - 1)
+    part = 1 - min(late - whole, 1.0)
+    ahead = _later(rows, whole, heads) if whole else rows
+    terms, sizes = [], []
     for i in np.flatnonzero(np.imag(z) >= 0):
         pole, others = z[i], np.delete(z, i)
         weights = _weights(pole)[:, : len(rows)]
-        first = _filtered(weights[0] @ rows, pole)
+        modes = [_filtered(weights[0] @ rows, pole, heads)]
+        if slopes:  # m'(t+1) at the head of the file
+            pushed = weights[1] @ rows
+            pushed[1:] += _decay(pole) * modes[0][:-1]
+            pushed[heads] = 0.0
+            modes.append(_filtered(pushed, pole, heads))
+        if late:
+            weights, (mode, *slope) = _weights(pole, part)[:, : len(rows)], [_later(m, whole + 1, heads) for m in modes]
+            before = [mode, *(s + part * mode for s in slope)]
+            modes = [_decay(part * pole) * m + w @ ahead for m, w in zip(before, weights, strict=False)]
         # d log(r_i) / dz_j = 1 / z_j + 1 / (z_i - z_j);  for z_i itself minus their sum; a pole at 0 does not move
         relative = 1 / np.where(z, z, 1)
         relative[np.arange(len(z)) != i] += 1 / (pole - others)
         relative[i] -= (1 / (pole - others)).sum()
-        residue = _residue(pole, z, step)
-        parts = [(_later(first, pole, part, rows, whole), [1.0, *(relative @ moves), pole / step])]
-        if slopes:  # m'(t+1) at the head of the file
-            slope = _filtered(weights[1] @ rows + _decay(pole) * first[:-1], pole)
-            parts.append((_later(slope + part * first, pole, part, rows, whole, 1), [0.0, *moves[i], 0.0]))
-        for series, factors in parts:
-            for run, factor in zip(runs, factors, strict=False):  # a loop, because BLAS would start its threads
-                size = residue * factor
-                if pole.imag:
-                    run[whole:] += 2 * size.real * np.real(series) - 2 * size.imag * np.imag(series)
-                elif size:
-                    run[whole:] += size.real * series
+        factors = [[1.0, *(relative @ moves), pole / step], [0.0, *moves[i], 0.0]]
+        for mode, row in zip(modes, factors, strict=False):
+            size = (2 if pole.imag else 1) * _residue(pole, z, step) * np.array(row)
+            terms += [np.real(mode), np.imag(mode)]
+            sizes += [np.real(size), -np.imag(size)]
+    runs = np.transpose(sizes)[: len(logs) + 2 if slopes else 1] @ np.stack(terms)
     if slopes and len(z) == 1:  # for order 1 the force itself acts on the rate
-        rows = np.column_stack([rows, rows[:, -1]])
-        force = np.array([1.0, part, part**2 - part])[: len(rows)] @ rows
-        runs[-1, whole:] += _residue(z[0], z, step) / step * force[: len(drive) - whole]
+        runs[-1] += _residue(z[0], z, step) / step * (np.array([1.0, part, part**2 - part])[: len(rows)] @ ahead)
     runs[0] += level
     return runs
 
@@ -216,8 +214,9 @@ def bounded_response(
 
 def mode(pole: complex, force: Float[np.ndarray, " time"], hold: str) -> np.ndarray:
     """Simulate m' = p m + F from rest, p in rad a sample, F held ("zoh") or linear between samples; shape (time,)."""
-    rows = _inputs(force, False, hold, False)[0]
-    return _filtered(_weights(pole)[0, : len(rows)] @ rows, pole)
+    heads = np.zeros(1, int)
+    rows, _ = _inputs(force, False, hold, False, heads)
+    return _filtered(_weights(pole)[0, : len(rows)] @ rows, pole, heads)
 
 
 def _residue(pole: complex, z: np.ndarray, step: float) -> complex:
@@ -225,20 +224,27 @@ def _residue(pole: complex, z: np.ndarray, step: float) -> complex:
     return residue if pole.imag else residue.real
 
 
-def _inputs(drive: np.ndarray, square: bool, hold: str, settled: bool) -> tuple[np.ndarray, float]:
-    """Return the input terms that f_1, f_2, f_3 multiply, shape (1 to 3, T - 1), and the equilibrium's input level."""
+def _inputs(drive: np.ndarray, square: bool, hold: str, settled, heads: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the terms that f_1, f_2, f_3 multiply, shape (1 to 3, T), and the input's level of every equilibrium.
+
+    A column holds the input from the sample before; a record's first column is 0.
+    """
     force = drive**2 if square else drive
-    level = float(force[0]) if settled else 0.0
-    rows = [force[:-1] - level]
+    level = np.repeat(np.where(settled, force[heads], 0.0), np.diff(heads, append=len(drive)))
+    terms = [force[:-1] - level[:-1]]
     if hold != "zoh":
-        rows.append(np.diff(force))
+        terms.append(np.diff(force))
     if hold == "cubic":
         # half of F'' within the sample (h = 1): the mean of the second differences at its two ends
-        bend = np.pad(np.diff(force, 2), 1, mode="edge")
-        rows.append((bend[:-1] + bend[1:]) / 4)
+        bend, tails = np.pad(np.diff(force, 2), 1), np.append(heads[1:], len(drive)) - 1
+        bend[heads], bend[tails] = bend[heads + 1], bend[tails - 1]
+        terms.append((bend[:-1] + bend[1:]) / 4)
     elif hold == "foh" and square:
-        rows.append(np.diff(drive) ** 2)
-    return np.stack(rows), level
+        terms.append(np.diff(drive) ** 2)
+    rows = np.zeros((len(terms), len(drive)))
+    rows[:, 1:] = terms
+    rows[:, heads] = 0.0
+    return rows, level
 
 
 def _weights(z: complex, part: float = 1.0) -> np.ndarray:
@@ -250,21 +256,22 @@ def _weights(z: complex, part: float = 1.0) -> np.ndarray:
     return both if z.imag else np.real(both)  # real arithmetic is three times as fast
 
 
-def _later(mode: np.ndarray, pole: complex, part: float, rows: np.ndarray, whole: int, slope: int = 0) -> np.ndarray:
-    """Advance a mode by a fraction of a sample and drop the last `whole` samples (`slope` 1: its derivative by z)."""
-    kept = len(mode) - whole
-    if not part:
-        return mode[:kept]
-    return _decay(part * pole) * mode[:kept] + _weights(pole, part)[slope, : len(rows)] @ rows[:, :kept]
+def _later(series: np.ndarray, samples: int, heads: np.ndarray) -> np.ndarray:
+    """Delay every record by whole samples; it starts with zeros."""
+    later = np.roll(series, samples, axis=-1)
+    for head in heads:
+        later[..., head : head + samples] = 0.0
+    return later
 
 
 def _decay(z: complex) -> complex:
     return np.exp(z) if z.imag else np.exp(z.real)
 
 
-def _filtered(pushed: np.ndarray, z: complex) -> np.ndarray:
-    """Simulate a mode from 0 under the input `pushed`; the result is one sample longer."""
-    return np.asarray(lfilter([1.0], [1.0, -_decay(z)], np.append(0.0, pushed)))
+def _filtered(pushed: np.ndarray, z: complex, heads: np.ndarray) -> np.ndarray:
+    """Simulate a mode of every record under the input `pushed`."""
+    taps = np.array([1.0]), np.array([1.0, -_decay(z)])
+    return np.concatenate([np.asarray(lfilter(*taps, part)) for part in np.split(pushed, heads[1:])])
 
 
 def coast(
@@ -278,7 +285,7 @@ def coast(
         mode = powers(pole, samples)
         columns += [np.real(mode), np.imag(mode)] if pole.imag > 0 else [np.real(mode)]
         rings += [True, True] if pole.imag > 0 else [False]
-    return np.array(columns).reshape(-1, samples).T, np.array(rings, bool)
+    return np.array(columns).reshape(len(rings), samples).T, np.array(rings, bool)
 
 
 def powers(z: complex, samples: int) -> Complex[np.ndarray, " time"]:

@@ -20,7 +20,7 @@ from ..model.model import Hold
 from ..numerics.coloured_noise import project
 from .heldout import Candidate
 from .linear_ode import pole_slopes, polynomial, polynomial_slopes
-from .output_error import FASTEST, Problem, Structure, inverse, jacobians, own_columns, poles_of, solve
+from .output_error import FASTEST, Problem, Structure, gram_of, inverse, jacobians, own_columns, poles_of, solve
 
 _BLOCKS, _IN_A_ROW = 64, 4
 _BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
@@ -156,24 +156,24 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
 def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
     """Return the covariance of (log pole coefficients, gain, fitted sensor offsets, log delay); see the file's head."""
     n, (solved, slopes) = structure.moved, jacobians(params, structure, problem)
-    linear = 1 + problem.free_zeros
+    linear, free = 1 + problem.free_zeros, own_columns(params, structure, problem)[0]
     order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
-    size = len(order)
-    hessian, scores = np.zeros((size, size)), np.zeros((_BLOCKS, size))
-    by_zero, cost, seen = {b.group: np.zeros(size) for b in problem.beginnings}, 0.0, 0.0
-    for k, (weight, b) in enumerate(zip(problem.weight, problem.beginnings, strict=True)):
-        jacobian = slopes[k][order, : len(weight)].T
-        residual, one = solved.residuals[k], b.direction * weight
-        own = own_columns(params, structure, problem, k)[0] * weight[:, None]
-        one = project(one, own)[1]
-        hessian += jacobian.T @ jacobian
+    # of every record, the places of its numbers in this order
+    places = [np.argsort(order)[at] for at in problem.numbers(len(params))]
+    slopes = [slope[:, : len(weight)] for slope, weight in zip(slopes, problem.weight, strict=True)]
+    hessian, size = gram_of(slopes, places), len(order)
+    scores, by_zero = np.zeros((_BLOCKS, size)), {b.group: np.zeros(size) for b in problem.beginnings}
+    cost, seen = 0.0, 0.0
+    series = slopes, places, solved.residuals, problem.weight, free, problem.beginnings
+    for slope, at, residual, weight, own, b in zip(*series, strict=True):
+        one = project(b.direction * weight, own * weight[:, None])[1]
         # dp = H^-1 J'w dz: the change caused by an error of the offset measured at rest
-        by_zero[b.group] += jacobian.T @ one * (0.0 if b.free else b.stderr / problem.scale)
+        by_zero[b.group][at] += slope @ one * (0.0 if b.free else b.stderr / problem.scale)
         cost += float(residual @ residual)
         block = np.minimum((seen + np.cumsum(weight) - 1) * _BLOCKS / problem.samples, _BLOCKS - 1).astype(int)
         seen += weight.sum()
         edges = np.flatnonzero(np.diff(block, prepend=-1))  # a block may span two records: sums are added up
-        np.add.at(scores, block[edges], np.add.reduceat(jacobian * residual[:, None], edges))
+        np.add.at(scores, (block[edges][:, None], at), np.add.reduceat(slope.T * residual[:, None], edges))
     inverted = inverse(hessian)
     count, free = _BLOCKS - _IN_A_ROW + 1, 1.5 * _BLOCKS / _IN_A_ROW
     moves = sum(scores[k : k + count] for k in range(_IN_A_ROW)) @ inverted

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Complex, Float
+from jaxtyping import Complex, Float, Int
 
 from ...common.errors import BadInput
 from ..fit.minimise import Normal, minimise
@@ -23,7 +23,7 @@ from ..model.model import Hold
 from ..signal.initial_state import Beginning, from_known
 from ..signal.preprocess import force_band
 from ..signal.record import Record
-from .linear_ode import bounded, coast, pole_slopes, poles, powers, respond, respond_with_slopes
+from .linear_ode import bounded, coast, pole_slopes, poles, respond, respond_with_slopes
 
 _RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
 _SLOWEST = 0.01  # rad a record: the records cannot distinguish a slower pole from an integrator
@@ -107,6 +107,16 @@ class Problem:
         return max(range(len(groups)), key=lambda k: (groups.count(groups[k]), not self.beginnings[k].free, -k))
 
     @property
+    def heads(self) -> Int[np.ndarray, " records"]:
+        """Return the index of every record's first sample in a series of all records, one after another."""
+        return np.cumsum([0, *map(len, self.drive[:-1])])
+
+    def numbers(self, parameters: int = 0) -> list[np.ndarray]:
+        """Return per record which numbers act on it, among g, all fitted offsets, and some parameters."""
+        last = 1 + self.free_zeros
+        return [np.array([0, *[1 + zero] * (zero >= 0), *range(last, last + parameters)]) for zero in self.zeros]
+
+    @property
     def seconds(self) -> float:
         """Return the duration of the longest record, s."""
         return max(len(d) for d in self.drive) * self.dt
@@ -124,18 +134,22 @@ class Solved:
 
     Attributes:
         gains: g, then the fitted offsets; own: per record its c.
-        residuals: weighted, of every record; penalty: of its ridge.
+        errors: of every record the weighted residual, then the penalty of its ridge.
     """
 
     gains: Float[np.ndarray, " gains"]
     own: tuple[np.ndarray, ...]
-    residuals: tuple[np.ndarray, ...]
-    penalty: tuple[np.ndarray, ...]
+    errors: tuple[np.ndarray, ...]
+
+    @property
+    def residuals(self) -> list[np.ndarray]:
+        """Return the weighted residuals of every record, shapes (T_r,)."""
+        return [error[: len(error) - len(own)] for error, own in zip(self.errors, self.own, strict=True)]
 
     @property
     def rows(self) -> Float[np.ndarray, " rows"]:
         """Return residuals and ridge penalties in one vector, record by record."""
-        return np.concatenate([part for both in zip(self.residuals, self.penalty, strict=True) for part in both])
+        return np.concatenate(self.errors)
 
 
 def check_motion(records: Sequence[Record]) -> None:
@@ -168,50 +182,60 @@ def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " 
     return poles(structure.logs(params))
 
 
-def driven(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> Float[np.ndarray, " time"]:
-    """Simulate the response of record k to the input, with unit static gain, shape (T,)."""
-    drive = problem.drive[k] + structure.offset(params)
-    return respond(structure.logs(params), drive, **_how(params, structure, problem, k))
+def driven(params: np.ndarray, structure: Structure, problem: Problem) -> list[Float[np.ndarray, " time"]]:
+    """Simulate the response of every record to its input, with unit static gain, shapes (T_r,)."""
+    logs, drive, how = _inputs(params, structure, problem)
+    return np.split(respond(logs, drive, **how), problem.heads[1:])
 
 
-def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate the response of record k, shape (T,), and its derivatives by the parameters, (parameters, T)."""
-    how, logs, drive = _how(params, structure, problem, k), structure.logs(params), problem.drive[k]
-    run, slopes, rate = respond_with_slopes(logs, drive + structure.offset(params), **how)
-    rows = [slopes[: structure.moved]]
+def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem) -> list[Float[np.ndarray, "rows time"]]:
+    """Simulate the response of every record; return it and, in the rows below it, its derivatives by the parameters."""
+    logs, drive, how = _inputs(params, structure, problem)
+    run, slopes, rate = respond_with_slopes(logs, drive, **how)
+    rows = [run, *slopes[: structure.moved]]
     rows += [respond(logs, np.ones_like(drive), **how)] if structure.integrates else []
-    return run, np.vstack([*rows, -np.exp(params[-1]) * rate] if structure.delayed else rows)
+    rows += [-np.exp(params[-1]) * rate] if structure.delayed else []
+    return np.split(np.stack(rows), problem.heads[1:], axis=-1)
 
 
-def _how(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> dict:
-    """Return the arguments of `respond` for record k: sampling interval, input map, hold, initial state, delay."""
+def _inputs(params: np.ndarray, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray, dict]:
+    """Return the arguments of `respond`: logarithms, input of all records, and how it acts."""
     late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
     if problem.fine < problem.dt:  # block means are smooth; of a held input they are half a fine sample early
         late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
-    settled = problem.beginnings[k].begins != "rest" and not structure.integrates  # without a spring nothing settles
-    return {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
+    # without a spring nothing settles
+    settled = np.array([b.begins != "rest" and not structure.integrates for b in problem.beginnings])
+    how = {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
+    drive = np.concatenate(problem.drive) + structure.offset(params)
+    return structure.logs(params), drive, {**how, "heads": problem.heads}
 
 
-def own_columns(params: np.ndarray, structure: Structure, problem: Problem, k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the free responses of record k, shape (T, columns), and which oscillate; none unless it starts moving."""
-    samples = len(problem.drive[k])
-    if problem.beginnings[k].begins != "moving":
-        return np.zeros((samples, 0)), np.zeros(0, bool)
-    return coast(structure.logs(params), samples, step=problem.dt)
+def own_columns(params: np.ndarray, structure: Structure, problem: Problem) -> tuple[list[np.ndarray], np.ndarray]:
+    """Return the free responses of every record, shapes (T_r, columns), and which columns oscillate.
+
+    A record has no such columns unless it starts moving.
+    """
+    moving = [b.begins == "moving" for b in problem.beginnings]
+    longest = max(len(drive) * begins for drive, begins in zip(problem.drive, moving, strict=True))
+    free, rings = coast(structure.logs(params), longest, step=problem.dt)
+    none = np.zeros((max(map(len, problem.drive)), 0))
+    parts = [(free if begins else none)[: len(drive)] for drive, begins in zip(problem.drive, moving, strict=True)]
+    return parts, rings
 
 
-def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, k: int, own: np.ndarray) -> np.ndarray:
-    """Return derivatives of record k's free response (amplitudes `own`) by the parameters, shape (parameters, T)."""
-    time = np.arange(len(problem.drive[k])) * problem.dt
-    slopes = np.zeros((len(params), len(time)))
+def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, own: np.ndarray, sizes: np.ndarray):
+    """Return derivatives of a free response (columns `own`, amplitudes `sizes`) by the parameters, (parameters, T)."""
+    time, slopes = np.arange(len(own)) * problem.dt, np.zeros((len(params), len(own)))
     at, moves = 0, pole_slopes(structure.logs(params))[:, : structure.moved]
     for pole, move in zip(poles_of(params, structure), moves, strict=True):
         if pole.imag < 0:
             continue
+        width = 2 if pole.imag else 1
         # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), whose derivative by p is t times as large
-        size = own[at] - 1j * own[at + 1] if pole.imag else own[at]
-        at += 2 if pole.imag else 1
-        slopes[: structure.moved] += np.real(move[:, None] * (size * time * powers(pole * problem.dt, len(time))))
+        turn = np.array([1, 1j])[:width]
+        mode, size = own[:, at : at + width] @ turn, sizes[at : at + width] @ turn.conj()
+        at += width
+        slopes[: structure.moved] += np.real(move[:, None] * (size * time * mode))
     return slopes
 
 
@@ -222,56 +246,62 @@ def solve(
 
     `runs`: the responses to the inputs, if they are known already.
     """
-    parts, whole = [], 0.0
-    for k, output in enumerate(problem.output):
-        run = driven(params, structure, problem, k) if runs is None else runs[k]
-        rows, n, ridge = _linear(params, structure, problem, k, run, output)
-        gram = rows @ rows.T
-        # eliminate the record's own c: c = (N'N + R)^-1 N'(y - G g), so that only g is common (Schur complement)
-        own = inverse(gram[:n, :n] + np.diag(ridge)) @ gram[:n, n:]
-        whole = whole + gram[n:, n:] - gram[n:, :n] @ own
-        parts.append((rows, own, np.sqrt(ridge)))
-    whole = np.asarray(whole)
-    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]  # the last row and column belong to y
-    sizes = [own[:, -1] - own[:, :-1] @ gains for _, own, _ in parts]
-    residuals = [
-        rows[-1] - np.concatenate([c, gains]) @ rows[:-1] for (rows, _, _), c in zip(parts, sizes, strict=True)
-    ]
-    penalty = [-ridge * c for (_, _, ridge), c in zip(parts, sizes, strict=True)]
-    return Solved(gains, tuple(sizes), tuple(residuals), tuple(penalty))
+    runs = driven(params, structure, problem) if runs is None else runs
+    free, _ = own_columns(params, structure, problem)
+    rows = [_linear(problem, *part) for part in zip(range(len(runs)), free, runs, problem.output, strict=True)]
+    places, parts = [np.append(at, -1) for at in problem.numbers()], []  # the last one is y
+    whole = np.zeros((2 + problem.free_zeros, 2 + problem.free_zeros))
+    for row, at in zip(rows, places, strict=True):
+        gram, n = row @ row.T, len(row) - len(at)
+        # eliminate the record's own c = (N'N)^-1 N'(y - G g), so that only g is common (Schur complement)
+        own = inverse(gram[:n, :n]) @ gram[:n, n:]
+        whole[at[:, None], at] += gram[n:, n:] - gram[n:, :n] @ own
+        parts.append(own)
+    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
+    sizes = [own @ np.append(-gains[at[:-1]], 1.0) for own, at in zip(parts, places, strict=True)]
+    errors = [row[-1] - np.append(c, gains[at[:-1]]) @ row[:-1] for row, c, at in zip(rows, sizes, places, strict=True)]
+    return Solved(gains, tuple(sizes), tuple(errors))
 
 
-def _linear(
-    params: np.ndarray, structure: Structure, problem: Problem, k: int, *series: np.ndarray
-) -> tuple[np.ndarray, int, np.ndarray]:
-    """Return weighted regressors of record k (free responses first), and number and ridge of the free responses."""
-    own, weight = own_columns(params, structure, problem, k)[0].T, problem.weight[k]
-    zeros = np.zeros((problem.free_zeros, len(weight)))
-    if problem.zeros[k] >= 0:
-        zeros[problem.zeros[k]] = problem.beginnings[k].direction
-    rows = np.vstack([own, series[0], zeros, *series[1:]])
-    return rows * weight, len(own), np.full(len(own), _RIDGE**2 * weight.sum())
+def _linear(problem: Problem, k: int, own: np.ndarray, run: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Return the weighted rows of record k: free responses, response, its fitted offset if any, and the others.
+
+    They end with as many samples as it has free responses: the ridge, as measurements of 0.
+    """
+    weight, n = problem.weight[k], own.shape[1]
+    one = np.full((int(problem.zeros[k] >= 0), len(weight)), problem.beginnings[k].direction)
+    rows = np.vstack([own.T, run, one, others])
+    rows *= weight
+    return np.hstack([rows, np.eye(len(rows), n) * (_RIDGE * np.sqrt(weight.sum()))]) if n else rows
 
 
 def jacobians(
     params: np.ndarray, structure: Structure, problem: Problem
-) -> tuple[Solved, list[Float[np.ndarray, "numbers samples"]]]:
-    """Solve at given poles; return the solution and each record's weighted derivatives by (gain, offsets, parameters).
+) -> tuple[Solved, list[Float[np.ndarray, "numbers rows"]]]:
+    """Solve at given poles; return the solution and each record's weighted derivatives by its `Problem.numbers`.
 
     A record's own columns are projected out; the ridge's derivatives come last.
     """
-    runs = [driven_slopes(params, structure, problem, k) for k in range(len(problem.drive))]
-    solved, projected = solve(params, structure, problem, [run for run, _ in runs]), []
-    for k, (run, slopes) in enumerate(runs):
-        slopes = solved.gains[0] * slopes  # d(g x) / dp at constant g: g's own slope is x itself
-        if len(solved.own[k]):
-            slopes = slopes + _own_slopes(params, structure, problem, k, solved.own[k])
-        rows, n, ridge = _linear(params, structure, problem, k, run, slopes)
-        own, rest = rows[:n], rows[n:]
-        # P = I - N (N'N + R)^-1 N', applied to the rows and to the ridge's rows below them
-        factors = (rest @ own.T) @ inverse(own @ own.T + np.diag(ridge))
-        projected.append(np.hstack([rest - factors @ own, -np.sqrt(ridge) * factors]) if n else rest)
+    runs, (free, _) = driven_slopes(params, structure, problem), own_columns(params, structure, problem)
+    solved, projected = solve(params, structure, problem, [run[0] for run in runs]), []
+    for k, (run, own, sizes) in enumerate(zip(runs, free, solved.own, strict=True)):
+        slopes, n = solved.gains[0] * run[1:], len(sizes)  # d(g x) / dp at constant g: g's own slope is x itself
+        if n:
+            slopes = slopes + _own_slopes(params, structure, problem, own, sizes)
+        rows = _linear(problem, k, own, run[0], slopes)
+        columns, rest = rows[:n], rows[n:]
+        # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
+        projected.append(rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns if n else rest)
     return solved, projected
+
+
+def gram_of(rows: Sequence[np.ndarray], numbers: Sequence[np.ndarray]) -> np.ndarray:
+    """Return J'J over all numbers from every record's derivatives by its own numbers."""
+    size = 1 + max(map(max, numbers))
+    gram = np.zeros((size, size))
+    for row, at in zip(rows, numbers, strict=True):
+        gram[at[:, None], at] += row @ row.T
+    return gram
 
 
 def inverse(gram: np.ndarray) -> np.ndarray:
@@ -292,10 +322,10 @@ def normal_equations(params: np.ndarray, structure: Structure, problem: Problem)
         here, n = solved.rows, len(params)
         if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
             return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
-        whole = np.hstack(slopes)
-        linear, moved = whole[:-n], whole[-n:]
+        linear, gram = 1 + problem.free_zeros, gram_of(slopes, problem.numbers(n))
         # Kaufman: only the part of the projector's derivative that remains when the residual is small
-        moved = moved - (moved @ linear.T) @ inverse(linear @ linear.T) @ linear
+        factors = gram[linear:, :linear] @ inverse(gram[:linear, :linear])
+        moved = np.hstack([j[-n:] - factors[:, at] @ j[:-n] for j, at in zip(slopes, problem.numbers(), strict=True)])
         return Normal.of(here @ here, -moved @ here, moved @ moved.T)
 
 

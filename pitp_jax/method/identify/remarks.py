@@ -152,21 +152,22 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
 def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return block means of the residual (T,), and of the fitted terms, lags and straight lines that may explain it."""
     params, structure = chosen.params, chosen.structure
-    solved, parts = solve(params, structure, problem), []
-    for k, weight in enumerate(problem.weight):
-        own, time = own_columns(params, structure, problem, k)[0], np.linspace(0.0, 1.0, len(weight))
-        zeros = np.zeros((len(weight), max(problem.free_zeros, 1)))
-        zeros[:, max(problem.zeros[k], 0)] = problem.zeros[k] >= 0
-        lags = [
-            respond(np.array([-np.log(tau)]), problem.drive[k], step=problem.dt, square=problem.square, hold="foh",
-                    settled=problem.beginnings[k].begins != "rest") for tau in taus
-        ]  # fmt: skip
-        apart = [np.zeros((len(weight), 1)) for _ in problem.weight]
-        apart[k] = time[:, None]
-        columns = [solved.residuals[k], driven(params, structure, problem, k), zeros, *lags, *apart]
+    settled = np.array([b.begins != "rest" for b in problem.beginnings])
+    how = {"step": problem.dt, "square": problem.square, "hold": "foh", "settled": settled, "heads": problem.heads}
+    drive, parts = np.concatenate(problem.drive), []
+    lags = np.stack([respond(np.array([-np.log(tau)]), drive, **how) for tau in taus], 1)
+    series = (
+        own_columns(params, structure, problem)[0], solve(params, structure, problem).residuals,
+        driven(params, structure, problem), np.split(lags, problem.heads[1:]), problem.weight, problem.zeros,
+    )  # fmt: skip
+    for k, (own, error, run, slow, weight, zero) in enumerate(zip(*series, strict=True)):
+        columns = [error, run, slow, np.full(len(weight), zero >= 0), np.linspace(0.0, 1.0, len(weight))]
         wide = np.column_stack(columns)
         # A part that the record's own initial state can explain is not evidence of creep.
         wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0] if own.size else wide
-        parts.append(block_means(wide, weight, max(len(weight) // _BLOCKS, 1))[0])
+        means = block_means(wide, weight, max(len(weight) // _BLOCKS, 1))[0]
+        zeros, drift = np.zeros((len(means), max(problem.free_zeros, 1))), np.zeros((len(means), len(problem.drive)))
+        zeros[:, max(zero, 0)], drift[:, k] = means[:, -2:].T
+        parts.append(np.hstack([means[:, :2], zeros, means[:, 2:-2], drift]))
     rows, n = np.concatenate(parts), 2 + max(problem.free_zeros, 1)
     return rows[:, 0], rows[:, 1:n], rows[:, n : n + len(taus)].T, rows[:, n + len(taus) :]

@@ -60,8 +60,8 @@ def residual_test(params: np.ndarray, structure: Structure, problem: Problem) ->
     long = min(_MEMORY * far, shortest // 2)
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
-    for k, residual in enumerate(solve(params, structure, problem).residuals):
-        force, weight = problem.forces[k], problem.weight[k]
+    residuals = solve(params, structure, problem).residuals
+    for residual, force, weight in zip(residuals, problem.forces, problem.weight, strict=True):
         force = weight * (force - weight @ force / max(weight.sum(), 1.0))
         sums += np.stack(
             # sum_t a_t b_{t+k} for k = -long ... long
