@@ -15,6 +15,17 @@ class ComputationFailed(RuntimeError):
     """A failed computation, such as a diverged simulation; the message is one line with advice (exit code 3)."""
 
 
+def refuse_if(*checks: tuple[object, str]) -> None:
+    """Refuse a request with the message of the first check (condition, message) whose condition holds.
+
+    Raises:
+        BadInput: with that message.
+    """
+    for wrong, message in checks:
+        if wrong:
+            raise BadInput(message)
+
+
 def refuse_traced(name: str, instead: str, *values: object) -> None:
     """Refuse values that JAX traces, because the function `name` runs on the host only.
 
@@ -22,8 +33,8 @@ def refuse_traced(name: str, instead: str, *values: object) -> None:
         BadInput: with the function to use under jit, vmap and grad.
     """
     jax = sys.modules.get("jax")  # if JAX is not loaded, nothing is traced
-    if jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values)):
-        raise BadInput(f"{name} cannot be traced by jit, vmap or grad; use {instead} instead")
+    traced = jax is not None and any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(values))
+    refuse_if((traced, f"{name} cannot be traced by jit, vmap or grad; use {instead} instead"))
 
 
 def cleaned(text: object) -> str:

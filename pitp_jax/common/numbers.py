@@ -13,6 +13,16 @@ def number(value: float | None, digits: int = 4) -> str:
     return "-" if value is None or value != value else f"{value:.{digits}g}"
 
 
+def finite(value) -> float | None:
+    """Return a number as a float; None, which is unknown, if it is nan or infinite."""
+    return float(value) if math.isfinite(value) else None
+
+
+def short(value: float, digits: int = 2) -> str:
+    """Write a number with this many digits, or as an integer from 100 on."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.{digits}g}"
+
+
 def figure(value: float | None, digits: int = 3) -> str:
     """Write a number with this many digits and powers of ten as ·10ⁿ; a dash if it is missing."""
     if value is None or not math.isfinite(value):

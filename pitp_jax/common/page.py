@@ -25,7 +25,7 @@ h3{font-size:.8rem;text-transform:uppercase;letter-spacing:.07em;color:var(--sof
 p{margin:.35rem 0;max-width:46rem}
 a{color:var(--model)}
 h1+p{font-size:1.08rem}
-.soft,figcaption,small{color:var(--soft)}
+.soft,figcaption{color:var(--soft)}
 .good{color:var(--good)}.open{color:var(--open)}
 .cards{display:grid;grid-template-columns:repeat(auto-fit,minmax(17rem,1fr));gap:.8rem;margin:1rem 0}
 .card{background:var(--card);border-radius:.6rem;padding:.8rem 1rem}
@@ -48,8 +48,6 @@ td:first-child{font-weight:650}}
 body{max-width:none;padding:0;font-size:10pt}h2{break-after:avoid}tr,figure,.card{break-inside:avoid}}
 tr.bold td{font-weight:650}
 """
-_NARROW = "\N{NARROW NO-BREAK SPACE}"
-_UNKNOWN = ("–", "-", "")
 
 
 @dataclass(frozen=True)
@@ -70,7 +68,7 @@ class Table:
     note: str = ""
     bold: Sequence[bool] = ()
     text: Sequence[int] = (0,)
-    omitted: Sequence[str] = _UNKNOWN
+    omitted: Sequence[str] = ("–", "-", "")
 
     def cells(self, write: Callable[[float | None], str] = figure) -> list[tuple[str, ...]]:
         """Return the rows as text; `write` rounds a number."""
@@ -188,7 +186,7 @@ def tag(name: str, text: str, css: str = "") -> str:
 
 
 def _text(text: str) -> str:
-    return escape(text).replace(" %", f"{_NARROW}%")
+    return escape(text).replace(" %", "\N{NARROW NO-BREAK SPACE}%")
 
 
 def _html(part) -> str:

@@ -20,10 +20,9 @@ from matplotlib.text import Text
 from .page import tag
 
 BINS = 1200  # of a line, each with its two extremes
-_SMALL, _WIDTH = 8.0, 5.0  # points: ticks and legends, labels are one point larger; inches
+_SMALL = 8.0  # points: ticks and legends; labels are one point larger
 _INCHES, _POINT, _SAMPLES = 3.55, 8.5, 1200  # on a page: width, smallest text, samples per line
 _LETTERS = 34  # of a label in a legend: more are wider than a narrow figure
-_COLORS = {"#000000": "--ink", "#e6e6e6": "--grid", "#a6a6a6": "--seen", "#0072b2": "--model"}
 
 
 @dataclass(frozen=True)
@@ -54,8 +53,8 @@ class Picture:
         svg = re.sub(r"<!--.*?-->|\s+xmlns(:\w+)?=\"[^\"]*\"", "", svg, flags=re.DOTALL).replace("xlink:href", "href")
         svg = re.sub(r' d="[^"]*"', lambda d: re.sub(r"(\d\.\d)\d+", r"\1", d[0]), svg)  # tenths of a point suffice
         svg = re.sub(r'(\bid="|url\(#|href="#)', lambda m: m[1] + escape(self.name.replace(" ", "_")) + "-", svg)
-        for color, role in _COLORS.items():
-            svg = svg.replace(color, f"var({role})")
+        for color, role in (("000000", "ink"), ("e6e6e6", "grid"), ("a6a6a6", "seen"), ("0072b2", "model")):
+            svg = svg.replace(f"#{color}", f"var(--{role})")
         svg = re.sub(r"<svg ", lambda _: f'<svg role="img" aria-label="{escape(self.caption)}" ', svg, count=1)
         return f"<figure>{svg}{tag('figcaption', self.caption)}</figure>"
 
@@ -121,7 +120,7 @@ def figure_of(axes) -> Figure:
 
 def new_axes(rows: int, height: float, heights: Sequence[float] | None = None) -> np.ndarray:
     """Return axes (rows,) over one another in a new figure of `height` inches; `heights` are relative to each other."""
-    drawn = Figure(figsize=(_WIDTH, height), layout="constrained")
+    drawn = Figure(figsize=(5.0, height), layout="constrained")
     axes = drawn.subplots(rows, 1, sharex=True, squeeze=False, height_ratios=heights)[:, 0]
     drawn.align_ylabels(axes)
     return axes

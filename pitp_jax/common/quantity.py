@@ -102,7 +102,7 @@ class Units:
     @property
     def max_input(self) -> str:
         """Return the command-line option that limits the input."""
-        return "--max-voltage" if self.input_word == "voltage" else "--max-input"
+        return f"--max-{self.input_word}"
 
     @property
     def max_rate(self) -> str:
@@ -112,7 +112,7 @@ class Units:
     @property
     def max_output(self) -> str:
         """Return the command-line option that limits the output."""
-        return "--max-displacement" if self.is_length else "--max-output"
+        return f"--max-{self.output_word}"
 
     @property
     def force(self) -> str:
@@ -122,7 +122,7 @@ class Units:
     @property
     def force_factor(self) -> float:
         """Return the value in base units (V^2, or V for a linear input) of one shown unit of the equation's input."""
-        return self.input.factor ** (2 if self.squared else 1)
+        return self.input.factor ** (1 + self.squared)
 
     def coefficient(self, i: int) -> tuple[float, str]:
         """Return the factor from base units to the shown unit of a_i in sum a_i x^(i) = F, and that unit."""

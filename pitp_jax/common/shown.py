@@ -10,7 +10,7 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-_LINES, _ROWS, _WIDTH = 10, 25, 100  # of the text; of the table in a notebook; characters of a value
+_WIDTH = 100  # characters of a value
 
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
@@ -41,11 +41,11 @@ class Shown:
     def __repr__(self) -> str:
         name = type(self).__name__
         lines = [f"  {f.name}: {_brief(getattr(self, f.name))}" for f in fields(self)]  # pyright: ignore[reportArgumentType]
-        return "\n".join([name, *lines[: _LINES - 1]])
+        return "\n".join([name, *lines[:9]])
 
     def _repr_html_(self) -> str:
         """Return the text of the result, and the first rows of its table, as HTML."""
-        table = self.frame().head(_ROWS)
+        table = self.frame().head(25)
         drawn = table.to_html(index=False, border=0, float_format="{:.5g}".format) if table.size else ""
         return f"<pre>{escape(repr(self))}</pre>{drawn}"
 

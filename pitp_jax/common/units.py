@@ -138,7 +138,7 @@ def column_names(quantity: str) -> tuple[str, ...]:
     """
     if quantity == "time":
         return tuple(f"time_{unit}" for unit in TIME_UNITS)
-    stems = ("voltage", "input") if quantity == "voltage" else ("displacement", "output")
+    stems = {"voltage": ("voltage", "input"), "displacement": ("displacement", "output")}[quantity]
     return tuple(f"{stem}_{unit.replace(' ', '')}" for stem in stems for unit in INPUT_UNITS)
 
 

@@ -15,7 +15,11 @@ def test_invert_writes_the_voltage_and_counts(call, bench, tmp_path, quick_inver
     code, text, err = call("invert", bench / "nominal", bench / "target.csv", "--out", out, "--json", file, *limits)
     assert code == 0
     assert err == "pitp: warning: 25 % of the target lies outside the trained region\n"
-    assert quick_inverse[0][1:] == (1500.0, 2e4, {"zero": "rest", "start_input": 0.0, "resample": True})
+    assert quick_inverse[0][1:] == (
+        1500.0,
+        2e4,
+        {"max_displacement": None, "zero": "rest", "start_input": 0.0, "resample": True},
+    )
     assert quick_inverse[0][0].displacement.max() == pytest.approx(1.5e-3, rel=1e-2)
     header, values = columns_of(out)
     assert header == ["time_s", "voltage_V", "target_mm", "infeasible", "saturated"]
@@ -72,7 +76,12 @@ def test_invert_takes_another_zero_and_another_start(call, bench, tmp_path, quic
     """A zero in the target's own unit."""
     start = ["invert", bench / "nominal", bench / "target.csv", "--out", tmp_path / "v.csv"]
     assert call(*start, "--zero", "2.5", "--start-input", "30")[0] == 0
-    assert quick_inverse[0][3] == {"zero": pytest.approx(2.5e-3), "start_input": 30.0, "resample": True}
+    assert quick_inverse[0][3] == {
+        "max_displacement": None,
+        "zero": pytest.approx(2.5e-3),
+        "start_input": 30.0,
+        "resample": True,
+    }
     assert "is not rest, sensor or a number" in refused(call(*start, "--zero", "here"))
 
 

@@ -5,10 +5,10 @@ Without a unit a voltage is in V and a length in mm, and any other quantity in t
 
 import math
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from ...common.errors import BadInput
-from ...common.quantity import Quantity
+from ...common.quantity import Quantity, Units
 from ...common.units import kind_of, spelt, to_base, units_of_kind
 
 
@@ -56,9 +56,23 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
     return float(to_base(given.value, unit))
 
 
+def limits_in_base(units: Units, largest: Amount | None, steepest: Amount | None, farthest: Amount | None) -> dict:
+    """Return the limits of input, slew and displacement in base units, by their names in `pitp.plan`."""
+    return {
+        "max_voltage": in_base(largest, units.max_input, units.input),
+        "max_slew": in_base(steepest, units.max_rate, units.input, rate=True),
+        "max_displacement": in_base(farthest, units.max_output, units.limit),
+    }
+
+
+def zero_in_base(zero: str | float, unit: str) -> Any:
+    """Convert the option `--zero` to the base unit; `rest` and `sensor` stay."""
+    return zero if isinstance(zero, str) else float(to_base(zero, unit))
+
+
 def _unit_of_rate(unit: str) -> str:
     """Remove one `per second` from a unit: kV from kV/s, deg/s from deg/s2; empty if there is none."""
-    match = re.fullmatch(r"(.*?)(?:/s(?:\^?2|²)|/s)", unit)
+    match = re.fullmatch(r"(.*?)/s(\^?2|²)?", unit)
     if match is None:
         return ""
-    return f"{match[1]}/s" if re.search(r"s(\^?2|²)$", unit) else match[1]
+    return f"{match[1]}/s" if match[2] else match[1]

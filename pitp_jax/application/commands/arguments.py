@@ -83,35 +83,23 @@ _SEED = {
     "type": _refusing(f"a whole number from 0 to {2**32 - 1}", lambda text: _whole(text, 0, 2**32 - 1)),
     "default": 0,
 }
-_ZERO = {
-    "type": _refusing(
-        "rest, sensor or a number in the target's unit",
-        lambda text: text if text in ("rest", "sensor") else _finite(text),
-    ),
-    "default": "rest",
-}
-_TIME_CONSTANT = {
-    "type": _refusing(
-        "a positive number", lambda text: math.inf if text.strip().lower() == "inf" else _above_zero(text)
-    )
-}
-_AMOUNT, _LIMIT = {"type": _amount_of}, {"type": _refusing("positive", _limit)}
+_LIMIT = {"type": _refusing("positive", _limit)}
 _LIST, _REPEATED, _REQUIRED = {"nargs": "+", "action": "extend"}, {"action": "append"}, {"required": True}
-_KINDS = {  # of `ReadOptions`
-    "factor": {"type": _refusing("a number other than 0", lambda text: _finite(text, bool))},
-    "number": {"type": _refusing("a finite number", _finite)},
-    "positive": _POSITIVE,
-    "whole": {"type": int},
-    "seconds": _SECONDS,
-    "files": _LIST,
-}
 
 
 def _columns(*without: str) -> Group:
     """Return the options of reading, as in `pitp.read`; not those whose first word is in `without`."""
+    kinds = {
+        "factor": {"type": _refusing("a number other than 0", lambda text: _finite(text, bool))},
+        "number": {"type": _refusing("a finite number", _finite)},
+        "positive": _POSITIVE,
+        "whole": {"type": int},
+        "seconds": _SECONDS,
+        "files": _LIST,
+    }
     rows = [
         (f"--{option_of(f.name)}", f.metadata["placeholder"], f.metadata["help"],
-         {"dest": READING + f.name} | _KINDS.get(f.metadata["kind"], {}))
+         {"dest": READING + f.name} | kinds.get(f.metadata["kind"], {}))
         for f in fields(ReadOptions) if f.metadata["kind"]
     ]  # fmt: skip
     rows.append(("--each", "NAME=INPUT,OUTPUT", "read one joint of a log; give it once per joint", _REPEATED))
@@ -121,7 +109,11 @@ def _columns(*without: str) -> Group:
 
 def _zero(what: str) -> tuple:
     text = f"zero of the {what}: rest = at 0 V (default), sensor = the sensor's zero, VALUE = reading at 0 V"
-    return "--zero", "rest|sensor|VALUE", text, _ZERO
+    converted = _refusing(
+        "rest, sensor or a number in the target's unit",
+        lambda text: text if text in ("rest", "sensor") else _finite(text),
+    )
+    return "--zero", "rest|sensor|VALUE", text, {"type": converted, "default": "rest"}
 
 
 _RECORDS = (
@@ -280,7 +272,12 @@ COMMANDS = {
         ("--out", "VOLTAGE.csv", "voltage file to write", _REQUIRED),
         _LIMITS,
         _zero("target"),
-        ("--start-input", "U", "input before and after the target, such as a holding torque (default 0)", _AMOUNT),
+        (
+            "--start-input",
+            "U",
+            "input before and after the target, such as a holding torque (default 0)",
+            {"type": _amount_of},
+        ),
         ("--rate", "HZ", "samples per second of the voltage (default: those of the target)", _POSITIVE),
         ("--unit", "UNIT", "unit of the written input (default V, or that of the recordings)"),
         (
@@ -354,7 +351,11 @@ COMMANDS = {
             "--time-constant",
             "S",
             "closed-loop time constant of the PI controller in C (default: from the model; inf: no controller)",
-            _TIME_CONSTANT,
+            {
+                "type": _refusing(
+                    "a positive number", lambda text: math.inf if text.strip().lower() == "inf" else _above_zero(text)
+                )
+            },
         ),
         ("--fmi", (2, 3), "version of the FMI standard (default 2)", {"type": int}),
         ("--name", "NAME", "name of files and functions: pitp_NAME (default model)", {"default": "model"}),

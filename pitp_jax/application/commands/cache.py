@@ -7,8 +7,6 @@ from pathlib import Path
 
 from platformdirs import user_cache_dir
 
-_LARGEST = 2**30  # bytes; above it the least recently used programs are deleted
-
 
 def keep_programs(shortest: float) -> None:
     """Choose the folder in which JAX keeps compiled programs; environment variables take precedence.
@@ -31,6 +29,7 @@ def keep_programs(shortest: float) -> None:
     if not os.access(folder, os.W_OK):
         return
     os.environ["JAX_COMPILATION_CACHE_DIR"] = str(folder)
-    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(_LARGEST))
+    # bytes; above it the least recently used programs are deleted
+    os.environ.setdefault("JAX_COMPILATION_CACHE_MAX_SIZE", str(2**30))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", str(shortest))
     os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES", "-1")

@@ -8,9 +8,6 @@ from typing import Any
 from ...common.numbers import number as number
 from ...common.page import Table as Table
 
-_EVERY_S = 5.0  # between lines of progress if standard error is not a terminal
-_REDRAW_S = 0.1  # on a terminal, where a line is redrawn in place
-
 
 def say(line: str) -> None:
     """Print one line on standard error, in place of a progress bar on a terminal."""
@@ -52,7 +49,8 @@ class ProgressLine:
             say(line)
             return
         now = time.monotonic()
-        if stage == self._stage and not ends and now - self._last < (_REDRAW_S if self._tty else _EVERY_S):
+        pause = 0.1 if self._tty else 5.0  # s; a terminal redraws the line in place
+        if stage == self._stage and not ends and now - self._last < pause:
             return
         self._last, self._stage = now, stage
         if self._tty:

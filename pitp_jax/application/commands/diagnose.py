@@ -10,11 +10,12 @@ from typing import TypeVar
 
 import numpy as np
 
-from ...common.errors import BadInput
+from ...common.errors import refuse_if
 from ...files.mjcf.document import read_document
 from ...files.mjcf.joint import joint_of
 from ...files.mjcf.write import identified_name
 from ...files.model_file.model_file import save
+from ...files.recordings.remarks import counted
 from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
 from ...method.diagnose.words import NEXT_CSV
@@ -32,7 +33,7 @@ from .outputs import MODEL, REPORT, check_outputs, staged, write_json
 from .recordings import open_both, read_records, warn
 from .verify import one_joint
 
-JSON, ROBOT, MJCF_JSON = "diagnosis.json", "robot.html", "mjcf.json"
+JSON, ROBOT = "diagnosis.json", "robot.html"
 FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
 T = TypeVar("T")
 _ROWS = 8  # of the ranking on standard output
@@ -73,7 +74,7 @@ def diagnose(
     if against is None:
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
-        say(f"diagnosing {nominal} on {len(read_in)} recording{'' if len(read_in) == 1 else 's'}")
+        say(f"diagnosing {nominal} on {counted(len(read_in), 'recording')}")
         diagnosis = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
@@ -97,16 +98,21 @@ def diagnose(
 
 def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, out) -> None:
     """Refuse options that contradict each other."""
-    if against is not None and refit_nominal:
-        raise BadInput(
-            "--refit-nominal only works with --nominal: a simulator's recordings contain no effect of the robot"
-        )
-    if against is None and position_gain is not None:
-        raise BadInput("--position-gain only works with --against: it is the gain of the simulator's controller")
-    if mjcf is not None and (against is None or out is None):
-        raise BadInput("--mjcf only works with --against and --out DIR: the changed file is written there")
-    if mjcf is None and (joint or actuator):
-        raise BadInput("--joint and --actuator only work with --mjcf XML")
+    refuse_if(
+        (
+            against is not None and refit_nominal,
+            "--refit-nominal only works with --nominal: a simulator's recordings contain no effect of the robot",
+        ),
+        (
+            against is None and position_gain is not None,
+            "--position-gain only works with --against: it is the gain of the simulator's controller",
+        ),
+        (
+            mjcf is not None and (against is None or out is None),
+            "--mjcf only works with --against and --out DIR: the changed file is written there",
+        ),
+        (mjcf is None and (joint or actuator), "--joint and --actuator only work with --mjcf XML"),
+    )
 
 
 def _check_places(out: str | None, json_file: str | None, mjcf: str | None, inputs: list) -> None:
@@ -159,7 +165,7 @@ def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, 
     """Write a changed MuJoCo file into the folder, and print the changes and the parameters that it cannot hold."""
     written = _attempt("the MuJoCo file", lambda: write_mjcf(diagnosis, mjcf, joint, out, actuator=actuator))
     if written is not None:
-        write_json(Path(out) / MJCF_JSON, written.as_json())
+        write_json(Path(out) / "mjcf.json", written.as_json())
         for line in written.lines():
             print(line)
         words = ["pitp", "verify", *records, "--mjcf", str(written.file), "--before", mjcf, "--joint", joint]

@@ -2,7 +2,7 @@
 
 from dataclasses import asdict
 
-from ...common.errors import BadInput
+from ...common.errors import refuse_if
 from ...files.export.c99 import export_c, loop_text
 from ...files.export.fmu import export_fmu
 from ...files.export.matlab import export_matlab
@@ -29,26 +29,27 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     Raises:
         BadInput: with nothing written.
     """
-    if fmi is not None and to != "fmu":
-        raise BadInput(f"--fmi {fmi} only works with --to fmu")
-    if time_constant is not None and to != "c":
-        raise BadInput(
-            f"--time-constant {time_constant:g} only works with --to c: FMU and MATLAB exports have no PI controller"
-        )
-    if precision == "single" and to == "matlab":
-        raise BadInput("--precision single only works with --to c and fmu: MATLAB computes in double precision")
+    refuse_if(
+        (fmi is not None and to != "fmu", f"--fmi {fmi} only works with --to fmu"),
+        (
+            time_constant is not None and to != "c",
+            f"--time-constant {time_constant or 0:g} only works with --to c: FMU and MATLAB exports have no PI "
+            "controller",
+        ),
+        (
+            precision == "single" and to == "matlab",
+            "--precision single only works with --to c and fmu: MATLAB computes in double precision",
+        ),
+    )
     check_outputs(json_file, inputs=[model])
-    loaded, options = load(model), {"name": name, "rate": steps}
-    if to == "matlab":
-        cost = export_matlab(loaded, out, **options)
-    elif to == "fmu":
-        cost = export_fmu(loaded, out, **options, precision=precision or "double", fmi=fmi or 2)
-    else:
-        cost = export_c(loaded, out, **options, precision=precision or "double", time_constant=time_constant)
-    checked = {"c": "`make`", "fmu": "`python check.py`", "matlab": f"`pitp_{name}_check`"}[to]
-    what = {"c": "C99", "fmu": f"FMU {fmi or 2}.0", "matlab": "MATLAB functions"}[to] + f" ({checked} there checks it)"
-    rate = steps or 1 / loaded.dt
-    print(f"pitp_{name}: {what}, {number(rate)} steps a second, in {out}")
+    loaded, precise = load(model), {"precision": precision or "double"}
+    write, options, what, checked = {
+        "c": (export_c, precise | {"time_constant": time_constant}, "C99", "`make`"),
+        "fmu": (export_fmu, precise | {"fmi": fmi or 2}, f"FMU {fmi or 2}.0", "`python check.py`"),
+        "matlab": (export_matlab, {}, "MATLAB functions", f"`pitp_{name}_check`"),
+    }[to]
+    cost, rate = write(loaded, out, name=name, rate=steps, **options), steps or 1 / loaded.dt
+    print(f"pitp_{name}: {what} ({checked} there checks it), {number(rate)} steps a second, in {out}")
     gains = pi_gains(loaded, 1 / rate, time_constant) if to == "c" else None
     if gains is not None:
         print(f"PI on the force: {loop_text(gains)}")

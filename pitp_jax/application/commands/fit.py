@@ -119,10 +119,10 @@ def _report(model: Fitted, records: Sequence[Record], folder: str, name: str) ->
 def _given(path: str, order, input_map) -> Fitted:
     """Load the nominal model from a file; refuse options that contradict it."""
     model = load(path)
-    if order not in (None, "auto", model.order):
-        raise BadInput(f"--order {order} contradicts {path}, whose order is {model.order}; leave one of them out")
-    if input_map not in (None, own := model.input_map.name):
-        raise BadInput(f"--input-map {input_map} contradicts {path}, whose input map is {own}; leave one of them out")
+    for what, asked, own in (("order", order, model.order), ("input map", input_map, model.input_map.name)):
+        if asked not in (None, "auto", own):
+            option = f"--{what.replace(' ', '-')} {asked}"
+            raise BadInput(f"{option} contradicts {path}, whose {what} is {own}; leave one of them out")
     return model
 
 

@@ -12,8 +12,6 @@ from ...method.train.cross_validation import HeldOut
 from ...method.train.errors import RecordError
 from .console import Table, print_table
 
-_HALF = 0.5  # of the identification's residual
-
 
 def explained(
     errors: Sequence[RecordError], records: Sequence[Record], first: Identification | None
@@ -31,8 +29,8 @@ def explained(
         missed += len(y) * (e.trained / 100 * own[e.name].span) ** 2
         moved += len(y) * float(np.var(y))
     residual = float(np.sqrt(missed / max(moved, 1e-300)))
-    # training may explain effects that a linear model cannot, and then has a much smaller error
-    if first is not None and not first.explains and residual > _HALF * first.chosen.heldout / 100:
+    # training may explain effects that a linear model cannot, and then has less than half of its residual
+    if first is not None and not first.explains and residual > 0.5 * first.chosen.heldout / 100:
         return False, first.warning
     text = f"{100 * residual:.0f} % of the output's rms remains unexplained on the training recordings"
     if residual >= NOTHING:

@@ -14,8 +14,6 @@ from .predict import scored
 from .recordings import read_records, warn
 from .reports import print_beginnings, print_model
 
-_MODEL_ERROR = 3.0  # times the noise: beyond it, nine tenths of the residual's energy come from the model
-
 
 def identify(records, out, order, input_map, learn, json_file, reading, leave_out=(), validate=(), report=None) -> int:
     """Identify a linear model, write the model file, and print the comparison of orders.
@@ -80,6 +78,7 @@ def delay_text(identified) -> str:
     text = f"delay: {number(delay, 3)} +- {number(stderr, 2)} ms for an input {own}"
     text = f"{text} ({number(other, 3)} ms if the input is {word} between samples)"
     misfit = identified.model.origin.misfit
-    if _MODEL_ERROR < misfit < float("inf"):
+    # from 3 times the noise on, nine tenths of the residual's energy come from the model
+    if 3.0 < misfit < float("inf"):
         text += f"; the linear model's error is {number(misfit, 2)} times the noise and can shift the delay by more"
     return text

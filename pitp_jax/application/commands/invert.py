@@ -4,24 +4,21 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...common.quantity import Quantity, Units
-from ...common.units import column_name, from_base, kind_of, spelt, to_base, units_of_kind
+from ...common.units import column_name, from_base, kind_of, spelt, units_of_kind
 from ...files.model_file.model_file import load
 from ...files.recordings.reading import read_target
 from ...files.recordings.writing import write_csv
 from ...method.invert.feedforward_plan import Feedforward, feedforward
 from ...method.invert.playback import at_faster_rate
 from ...method.invert.target import at_rate_of_model, at_slower_rate
-from ...method.model.coordinate import Zero
 from ...method.model.coverage import WORTH_A_LINE
 from ...method.model.expected_error import expected_error
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
-from .amounts import in_base
+from .amounts import in_base, limits_in_base, zero_in_base
 from .console import number, say
 from .outputs import check_outputs, staged
 from .recordings import check_kind
-
-_ROUNDING = 0.01  # % of range: agreement of a single-precision rollout with a plan by the same model
 
 
 def invert(
@@ -53,15 +50,10 @@ def invert(
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
     units, length = units_of(loaded), wanted.displacement_unit
     played = _unit_to_write(unit, units)
-    at_rest: Zero = zero if zero in ("rest", "sensor") else float(to_base(zero, length))
-    limits = {
-        "max_voltage": in_base(max_voltage, units.max_input, units.input),
-        "max_slew": in_base(max_slew, units.max_rate, units.input, rate=True),
-        "zero": at_rest,
+    limits = limits_in_base(units, max_voltage, max_slew, max_displacement) | {
+        "zero": zero_in_base(zero, length),
         "start_input": in_base(start_input, "--start-input", units.input) or 0.0,
     }
-    if max_displacement is not None:
-        limits["max_displacement"] = in_base(max_displacement, units.max_output, units.limit)
     fine = at_rate_of_model(wanted, loaded.model.dt)
     slower = at_slower_rate(fine, rate)
     asked = slower is not fine
@@ -136,8 +128,8 @@ def _summarise(planned: Feedforward, out: str, played: Quantity, input_scale: fl
     own = float(planned.time[np.argmax(planned.target)])
     print(f"in this file the target starts at {own - planned.time[0]:.6g} s, which is {own:.6g} s in the target's file")
     print(f"infeasible {int(planned.infeasible.sum())}, saturated {int(planned.saturated.sum())} samples")
-    # a smaller error only shows that the inversion is correct, not how well the rig will track
-    if planned.self_check_e_rms_percent >= _ROUNDING:
+    # an error below 0.01 % is rounding: it shows that the inversion is correct, not how well the rig will track
+    if planned.self_check_e_rms_percent >= 0.01:
         print(
             f"self-check (the model simulated with this input; the rig may differ): error "
             f"{number(float(planned.self_check_e_rms_percent), 3)} % of range (e_rms); simply clipping the input "

@@ -14,10 +14,10 @@ import sys
 import traceback
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Any
+from typing import Any, ClassVar
 
 from ... import __version__
-from ...common.errors import BadInput, ComputationFailed
+from ...common.errors import BadInput, ComputationFailed, cleaned
 from .arguments import COMMANDS, EVERYWHERE, READING, Either, Group
 from .cache import keep_programs
 from .console import say
@@ -25,26 +25,21 @@ from .each import json_to_standard_output, once_per_joint
 from .examples import ending
 from .ours import allow_overwriting
 
-# In names from files, control characters could move the cursor, and direction marks reverse a line.
-_UNSAFE = re.compile(r"[\x00-\x1f\x7f-\x9f\u200b-\u200f\u2028-\u202e\u2060-\u2069\ud800-\udfff]")
-# Commands that keep every compiled program; the others, which have hundreds, keep only slow compilations.
-_QUICK = ("predict", "invert", "check", "simulate", "adapt")
-_OWN_RATE = ("invert", "plan")  # their --rate is not that of the files
-# advice for an option given twice
-_SINGLE = {
-    f"{READING}input_column": "a recording has one input; fit a model to each input, or a column computed from both",
-    f"{READING}output_column": "a recording has one output; --each NAME=INPUT,OUTPUT runs the command once per output",
-}
-
 
 class _Once(argparse.Action):
     """An option with one value; a second value is a usage error."""
 
     given = False
+    advice: ClassVar = {
+        f"{READING}input_column": "a recording has one input; fit a model to each input, or a column computed from "
+        "both",
+        f"{READING}output_column": "a recording has one output; --each NAME=INPUT,OUTPUT runs the command once per "
+        "output",
+    }
 
     def __call__(self, parser, namespace, values, option_string=None):
         if self.given and option_string is not None:
-            raise argparse.ArgumentError(self, f"is given twice; {_SINGLE.get(self.dest, 'give it once')}")
+            raise argparse.ArgumentError(self, f"is given twice; {self.advice.get(self.dest, 'give it once')}")
         self.given = True
         setattr(namespace, self.dest, values)
 
@@ -71,11 +66,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         exit code: 0 done, 2 bad input or usage, 3 the computation failed, 130 interrupted.
     """
     _say_anything()
+    given = list(sys.argv[1:] if argv is None else argv)
     try:
-        arguments = vars(_parser().parse_args(_joined(sys.argv[1:] if argv is None else argv)))
+        arguments = vars(_parser().parse_args(_joined(given)))
         module, function = arguments.pop("runs"), arguments.pop("command")
         if not arguments.pop("no_cache", True):
-            keep_programs(0.0 if module in _QUICK else 0.1)
+            # the other commands compile hundreds of programs, and keep only slow compilations
+            keep_programs(0.0 if module in ("predict", "invert", "check", "simulate", "adapt") else 0.1)
         allow_overwriting(arguments.pop("force", False))
         of_reading = [name for name in arguments if name.startswith(READING)]
         if of_reading:
@@ -92,12 +89,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout = open(os.devnull, "w")  # not the pipe: the interpreter flushes it at exit
         return 0
     except KeyboardInterrupt as stop:
-        say(f"interrupted{f'; {stop}' if str(stop) else ''}")
+        say("; ".join(["interrupted", *map(str, stop.args)]))
         return 130
     except Exception as error:
         if os.environ.get("PITP_TRACEBACK"):
             traceback.print_exc()
-        code, line = _explain(error, list(sys.argv[1:] if argv is None else argv))
+        code, line = _explain(error, given)
         say(f"error: {line}")
         return code
 
@@ -127,9 +124,9 @@ def _explain(error: Exception, argv: Sequence[str]) -> tuple[int, str]:
         refused: Any = error  # its class is loaded only by commands that read files
         # options of a command suit one set of files, all of one kind; its --rate may not be that of the files
         whole = refused.alone and argv[0] != "compare" and "--against" not in argv
-        own_rate = argv[0] in _OWN_RATE and "--rate" in options
+        own_rate = argv[0] in ("invert", "plan") and "--rate" in options
         error = BadInput(refused.in_command(argv) if whole and not own_rate else refused.in_folder())
-    text = _UNSAFE.sub("_", " ".join(str(error).splitlines()))  # blanks stay, because headers may hold several
+    text = cleaned(" ".join(str(error).splitlines()))  # blanks stay, because headers may hold several
     if isinstance(error, BadInput):
         return 2, text
     if isinstance(error, ComputationFailed):
@@ -169,6 +166,5 @@ def _add(parser, rows: Sequence) -> None:
             _add(parser.add_mutually_exclusive_group(required=row.required), row.rows)
         else:
             names, shown, text, *more = row
-            kind = {"choices": shown} if isinstance(shown, tuple) else {"metavar": shown}
-            kind = {"action": "store_true"} if shown is None else kind
-            parser.add_argument(*names.split(), help=text, **(kind | dict(*more)))
+            kinds = {tuple: {"choices": shown}, str: {"metavar": shown}, type(None): {"action": "store_true"}}
+            parser.add_argument(*names.split(), help=text, **(kinds[type(shown)] | dict(*more)))

@@ -13,9 +13,6 @@ from ...common.errors import BadInput
 
 _FORCED: ContextVar[bool] = ContextVar("forced", default=False)
 _HEAD = 4096  # bytes
-_BEGINS = (b"pitp_jax model ", b'{\n  "written_by": "pitp_jax ')
-_IDENTIFIED = b"<!-- pitp: numbers identified"  # in a MuJoCo file
-_RESULT = re.compile(rb"time_s,.*(predicted|target|infeasible|added_input)_?")
 
 
 def allow_overwriting(forced: bool) -> None:
@@ -37,7 +34,11 @@ def check_replaceable(file: Path, shown: object) -> None:
         return
     with open(file, "rb") as stream:
         head = stream.read(_HEAD)
-    ours = head.startswith(_BEGINS) or _RESULT.match(head.partition(b"\n")[0]) or _IDENTIFIED in head
+    ours = (
+        head.startswith((b"pitp_jax model ", b'{\n  "written_by": "pitp_jax '))
+        or re.match(rb"time_s,.*(predicted|target|infeasible|added_input)", head.partition(b"\n")[0])
+        or b"<!-- pitp: numbers identified" in head  # a MuJoCo file
+    )
     if head and not ours:
         raise BadInput(
             f"{shown}: exists and was not written by pitp; choose another name, or give --force to overwrite it"

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 
 from ... import __version__
-from ...common.errors import BadInput
+from ...common.errors import BadInput, refuse_if
 from ...common.page import Link, Page
 from ...files.recordings.writing import is_stream, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
@@ -50,14 +50,14 @@ def check_outputs(
         if path is None or is_stream(path):
             continue
         target = Path(os.path.realpath(path))
-        if target.is_dir() or not target.name or str(path).endswith(("/", os.sep)):
-            raise BadInput(f"{path}: is a folder; give a file name inside a folder")
-        if not target.parent.is_dir():
-            raise BadInput(f"{path}: there is no folder {target.parent}; create the folder first")
-        if not os.access(target if target.exists() else target.parent, os.W_OK):
-            raise BadInput(f"{path}: no permission to write there; choose another place")
-        if target in taken:
-            raise BadInput(f"{path}: is also given as {taken[target]}; choose another name for the output")
+        is_folder = target.is_dir() or not target.name or str(path).endswith(("/", os.sep))
+        place = target if target.exists() else target.parent
+        refuse_if(
+            (is_folder, f"{path}: is a folder; give a file name inside a folder"),
+            (not target.parent.is_dir(), f"{path}: there is no folder {target.parent}; create the folder first"),
+            (not os.access(place, os.W_OK), f"{path}: no permission to write there; choose another place"),
+            (target in taken, f"{path}: is also given as {taken.get(target)}; choose another name for the output"),
+        )
         check_replaceable(target, path)
         taken[target] = path
     if folder is not None:
@@ -72,16 +72,17 @@ def _files_of(path: str | os.PathLike) -> list[Path]:
 def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
     target = Path(os.path.realpath(folder))
     existing = next(p for p in (target, *target.parents) if p.exists())
-    if not existing.is_dir():
-        raise BadInput(f"{folder}: {existing} is a file, not a folder; choose another folder")
-    if not os.access(existing, os.W_OK | os.X_OK):
-        raise BadInput(f"{folder}: no permission to write in {existing}; choose another place")
+    closed = not os.access(existing, os.W_OK | os.X_OK)
+    refuse_if(
+        (not existing.is_dir(), f"{folder}: {existing} is a file, not a folder; choose another folder"),
+        (closed, f"{folder}: no permission to write in {existing}; choose another place"),
+    )
     for name in names:
-        file = target / name
-        if Path(os.path.realpath(file)) in taken:
-            raise BadInput(f"{folder}: {name} would overwrite an input file; choose another folder")
-        if file.is_dir():
-            raise BadInput(f"{folder}: {name} is a folder there; remove it or choose another folder")
+        is_input = Path(os.path.realpath(target / name)) in taken
+        refuse_if(
+            (is_input, f"{folder}: {name} would overwrite an input file; choose another folder"),
+            ((target / name).is_dir(), f"{folder}: {name} is a folder there; remove it or choose another folder"),
+        )
     check_folder_replaceable(target, names, folder)
 
 

@@ -14,7 +14,7 @@ from ...method.model.units import units_of
 from ..pages.plan import headline, page, table
 from ..plan.planning import REACHED, Plan
 from ..plan.planning import plan as make_plan
-from .amounts import Amount, in_base
+from .amounts import Amount, limits_in_base
 from .console import print_table
 from .outputs import check_outputs, staged, write_json
 from .recordings import check_belongs, is_square, read_records
@@ -48,9 +48,7 @@ def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, jso
     units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)
     planned = make_plan(
         model, read_in, band=band and tuple(band), units=units, **more,
-        max_voltage=in_base(max_voltage, units.max_input, units.input),
-        max_slew=in_base(max_slew, units.max_rate, units.input, rate=True),
-        max_displacement=in_base(max_displacement, units.max_output, units.limit),
+        **limits_in_base(units, max_voltage, max_slew, max_displacement),
     )  # fmt: skip
     files = [f"{r.name.replace('/', '_')}.csv" for r in planned.recordings]
     check_outputs(json_file, folder=out, names=[PAGE, JSON, *files], inputs=paths)
@@ -77,7 +75,7 @@ def _sorted(paths: Sequence[str]) -> tuple[str | None, list[str]]:
 
 def _first_units(largest: Amount | None, farthest: Amount | None) -> Units:
     """Return the units of a first session: those of the stated limits, otherwise V and m."""
-    units = [spelt(given.unit) if given and given.unit else None for given in (largest, farthest)]
+    units = [given and spelt(given.unit) for given in (largest, farthest)]
     return Units(Quantity(units[0] or "V"), Quantity(units[1] or "m"))
 
 

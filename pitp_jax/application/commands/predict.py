@@ -8,6 +8,7 @@ import numpy as np
 
 from ...common.errors import ComputationFailed
 from ...common.metrics import e_rms_percent, nrmse_percent, rmse
+from ...common.numbers import finite
 from ...common.quantity import Quantity, Units
 from ...common.units import from_base
 from ...files.recordings.writing import write_signals, write_text_atomic
@@ -21,8 +22,6 @@ from .console import number, print_table
 from .outputs import REPORT, check_outputs, staged
 from .recordings import is_square, open_both
 from .reports import listed, print_sensors
-
-_CERTAIN = 0.9  # probability of a record's start; a smaller one is printed
 
 
 def predict(model, records, out, json_file, reading) -> None:
@@ -57,7 +56,7 @@ def predict(model, records, out, json_file, reading) -> None:
                 )  # fmt: skip
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model).html())
     _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
-    if open_ones := [p.name for p in predictions if p.start_certainty < _CERTAIN]:
+    if open_ones := [p.name for p in predictions if p.start_certainty < 0.9]:
         print(
             f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "
             "error may come from this; record a second of rest at 0 V first"
@@ -91,12 +90,12 @@ def score(record: Record, prediction: Prediction) -> dict:
         "rmse": from_base(rmse(prediction.displacement, measured, scored), unit),
     }
     return {
-        **{name: None if prediction.diverged else _finite(value) for name, value in metrics.items()},
+        **{name: None if prediction.diverged else finite(value) for name, value in metrics.items()},
         "rmse_unit": unit,
         "begins": prediction.begins,
         "zero": {
             "value": from_base(prediction.zero, unit),
-            "stderr": _finite(from_base(prediction.zero_stderr, unit)),
+            "stderr": finite(from_base(prediction.zero_stderr, unit)),
             "unit": unit,
         },
         "direction": int(prediction.direction),
@@ -108,15 +107,11 @@ def score(record: Record, prediction: Prediction) -> dict:
     }
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
-
-
 def median_e_rms(rows: Sequence[dict]) -> float | None:
     """Return the median error over records, % of range; None if it is infinite or there is no error."""
     values = [math.inf if row["diverged"] else row["e_rms_percent"] for row in rows]
     values = [value for value in values if value is not None]
-    return _finite(statistics.median(values)) if values else None
+    return finite(statistics.median(values)) if values else None
 
 
 def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> dict[str, Beginning]:
@@ -125,7 +120,7 @@ def _sensors(records: Sequence[Record], predictions: Sequence[Prediction]) -> di
     The tolerance is 4 standard errors and 0.2 % of the record's range; an unknown offset is ignored.
     """
     known = [p.zero for p in predictions if math.isfinite(p.zero_stderr)]
-    middle, begun = float(np.median(known)) if known else 0.0, {}
+    middle, begun = float(np.median(known or [0.0])), {}
     for record, p in zip(records, predictions, strict=True):
         may = 4 * p.zero_stderr + 0.002 * record.span
         apart = math.isfinite(may) and abs(p.zero - middle) > may

@@ -32,8 +32,7 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | No
         say(line)
     if square is None:
         square = usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
-    warning = monitor_warning(records) if square in (True, SquareInput.name) else None
-    if warning:
+    if square in (True, SquareInput.name) and (warning := monitor_warning(records)):
         say(f"warning: {warning}")
     return records
 

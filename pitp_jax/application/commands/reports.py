@@ -1,16 +1,14 @@
 """Print text about a model, for `identify`, `fit` and `info`."""
 
-import math
-
+from ...common.numbers import finite
 from ...common.quantity import Units
 from ...common.units import from_base
+from ...files.recordings.remarks import counted
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.signal.initial_state import Beginning
 from ..compare.description import in_words, sensor_line
 from .console import Table, number, print_table
-
-_HOLDS = {"foh": "linear between samples", "zoh": "held between samples", "bandlimited": "band-limited between samples"}
 
 
 def print_model(model: Fitted, summary: dict) -> None:
@@ -31,8 +29,10 @@ def print_model(model: Fitted, summary: dict) -> None:
     for mode in summary["modes"]:
         kind = "mode" if mode["oscillates"] else "real pole"
         print(f"{kind} at {number(mode['natural_hz'])} Hz, damping {number(mode['damping'], 3)}")
+    holds = {"foh": "linear", "zoh": "held", "bandlimited": "band-limited"}
+    hold = f"{holds[summary['hold']]} between samples (hold {summary['hold']})"
     steps = "one Runge-Kutta step" if summary["substeps"] == 1 else f"{summary['substeps']} Runge-Kutta steps"
-    print(f"input {_HOLDS[summary['hold']]} (hold {summary['hold']}); {steps} per sample of {number(summary['dt'])} s")
+    print(f"input {hold}; {steps} per sample of {number(summary['dt'])} s")
     print(sensor_line(model))
     print(
         f"{units.input_word} of the recordings: {units.input.range_text(*model.domain.voltage_range)}, "
@@ -96,9 +96,7 @@ def print_sensors(beginnings: dict[str, Beginning], units: Units) -> None:
     elif 0 < len(turned) < len(beginnings):
         print(f"output that decreases as the input increases: {listed(turned)}")
     if len({b.group for b in beginnings.values()}) > 1:
-        rows = []
-        for name, b in beginnings.items():
-            rows.append((name, *(from_base(v, unit) if math.isfinite(v) else None for v in (b.zero, b.stderr))))
+        rows = [(name, *(finite(from_base(v, unit)) for v in (b.zero, b.stderr))) for name, b in beginnings.items()]
         print("sensor offset of each recording:")
         print_table(Table(("record", f"zero ({unit})", "+-"), rows))
 
@@ -106,4 +104,4 @@ def print_sensors(beginnings: dict[str, Beginning], units: Units) -> None:
 def listed(names, most: int = 4) -> str:
     """Write a count of records and the first names: `3 recordings (a, b, c)`."""
     shown = ", ".join(names[:most]) + (", ..." if len(names) > most else "")
-    return f"{len(names)} recording{'' if len(names) == 1 else 's'} ({shown})"
+    return f"{counted(len(names), 'recording')} ({shown})"

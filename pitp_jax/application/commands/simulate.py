@@ -10,11 +10,11 @@ from ...common.units import from_base
 from ...files.model_file.model_file import load
 from ...files.recordings.voltage_file import Drive, read_voltage
 from ...files.recordings.writing import write_signals
-from ...method.model.coordinate import Zero
 from ...method.model.coverage import untrained, untrained_words
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
 from ...method.simulate.voltage_only import rollout
+from .amounts import zero_in_base
 from .console import Table, print_table, say
 from .outputs import check_outputs, staged
 from .recordings import warn_of_rate
@@ -40,10 +40,9 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     files = [f"{d.name.lstrip('/')}.csv" for d in drives]
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
-    output = units_of(loaded).output
-    unit = output.unit
-    at_rest: Zero = zero if zero in ("rest", "sensor") else float(output.base(zero))
-    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=at_rest) for d in drives]
+    unit = units_of(loaded).output.unit
+    origin = zero_in_base(zero, unit)
+    runs = [rollout(loaded, d.voltage, d.dt, start_time=float(d.time[0]), zero=origin) for d in drives]
     rows = {d.name: _row(loaded, d, x, unit) for d, x in zip(drives, runs, strict=True)}
     with staged(folder=out, json_file=json_file, value={"records": rows}) as stage:
         if out is not None:
@@ -87,11 +86,12 @@ def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
 
 def _row(model: Fitted, drive: Drive, x: np.ndarray, unit: str) -> dict:
     shown = from_base(x[np.isfinite(x)], unit)
+    lowest, highest = (float(shown.min()), float(shown.max())) if len(shown) else (math.nan, math.nan)
     return {
         "samples": len(x),
         "begins": "held" if drive.voltage[0] != 0 else "rest",
-        "lowest": float(shown.min()) if len(shown) else math.nan,
-        "highest": float(shown.max()) if len(shown) else math.nan,
+        "lowest": lowest,
+        "highest": highest,
         "unit": unit,
         "diverged": bool(np.isnan(x).any()),
         "outside_training_share": untrained(model, "input", drive.voltage, drive.dt).fraction,

@@ -1,6 +1,6 @@
 """`pitp verify`: compares a robot with its MuJoCo model, before and after the file was changed."""
 
-from ...common.errors import BadInput, ComputationFailed
+from ...common.errors import ComputationFailed, refuse_if
 from ...common.units import from_base
 from ...files.mjcf.verify import Verification, verify_mjcf
 from ...files.recordings.writing import write_csv
@@ -31,8 +31,8 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
     """
     used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
     files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
-    if len(set(files)) < len(files):
-        raise BadInput("a held-out recording has the same name as another recording; rename one of them")
+    same = len(set(files)) < len(files)
+    refuse_if((same, "a held-out recording has the same name as another recording; rename one of them"))
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[mjcf, before, *records, *held_out])
     result = verify_mjcf(used, mjcf, one_joint(joint), before=before, held_out=others, actuator=actuator)
     with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
@@ -55,11 +55,12 @@ def one_joint(joint: list[str] | None) -> str:
     Raises:
         BadInput: none or several.
     """
-    if not joint:
-        raise BadInput("--mjcf needs --joint NAME, the joint whose motion was recorded")
-    if len(joint) > 1:
-        raise BadInput("several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order")
-    return joint[0]
+    names = joint or []
+    refuse_if(
+        (not names, "--mjcf needs --joint NAME, the joint whose motion was recorded"),
+        (len(names) > 1, "several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order"),
+    )
+    return names[0]
 
 
 def _print(result: Verification) -> None:
