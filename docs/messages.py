@@ -14,7 +14,7 @@ from pathlib import Path
 
 PACKAGE = Path(__file__).resolve().parents[1] / "pitp_jax"
 ERRORS = {
-    *("BadInput", "ComputationFailed", "Refused", "NoTable", "_Ask"),
+    *("BadInput", "ComputationFailed", "Refused", "NoTable", "_Ask", "refuse_if"),
     *("ValueError", "TypeError", "ArgumentError", "ArgumentTypeError"),
 }
 FEWEST_WORDS = 2  # a shorter text is a name or a unit
@@ -106,7 +106,8 @@ def _errors(tree: ast.Module) -> Iterator[str]:
         if not (isinstance(node, ast.Call) and _name(node.func) in ERRORS):
             continue
         around = inside.get(id(node), tree)
-        told = [text for argument in node.args[:2] for text in _texts(argument)]
+        count = len(node.args) if _name(node.func) == "refuse_if" else 2  # its arguments are (check, message)
+        told = [text for argument in node.args[:count] for text in _texts(argument)]
         values = [*node.args, *_assigned(node, around)]
         called = [functions.get(_name(n.func)) for v in values for n in ast.walk(v) if isinstance(n, ast.Call)]
         parts = [text for v in values[len(node.args) :] for text in _texts(v)]

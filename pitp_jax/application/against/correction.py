@@ -3,8 +3,8 @@
     f_{k+1} = f_k + G+ (y - y_sim(F + f_k)),    G+ = conj(G) / (|G|^2 + eps |G(0)|^2),    G(s) = e^{-s T} / sum a_i s^i
 
 Iterative learning on whole recordings: G is the linear part of the simulator's model, y_sim its free run with all its
-effects. `eps` bounds the noise that passes: almost nothing is corrected above the frequency where |G| is a tenth of its
-static value.
+effects. `eps` = 0.01 bounds the noise that passes: almost nothing is corrected above the frequency where |G| is a tenth
+of its static value.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,6 @@ from ...method.model.model import Model
 from ...method.signal.record import Record
 from ...method.simulate.prediction import predict
 
-_STEPS = 5
-_EPSILON = 0.01
-
 
 def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.ndarray]:
     """Return for each recording the signal to add to the simulator's input (base unit), shape (T,).
@@ -29,7 +26,7 @@ def corrections(nominal: Model | Fitted, records: Sequence[Record]) -> list[np.n
         records: the robot's recordings.
     """
     forces = [np.zeros(r.samples) for r in records]
-    for _ in range(_STEPS):
+    for _ in range(5):
         played = [replace(r, voltage=_input(nominal, r.voltage, f)) for r, f in zip(records, forces, strict=True)]
         for k, run in enumerate(predict(nominal, played)):
             error = run.direction * (records[k].displacement - run.displacement)
@@ -51,5 +48,5 @@ def _regularised_inverse(model: Model | Fitted, error: Record) -> np.ndarray:
     s = 2j * np.pi * np.fft.rfftfreq(len(mirrored), error.dt)
     late = sum(float(v) for e in model.effects if e.name == "delay" for p, v in e.numbers() if p.name == "time")
     gain = np.exp(-s * late) / np.polyval(a[::-1], s)
-    inverse = np.conj(gain) / (np.abs(gain) ** 2 + _EPSILON / a[0] ** 2)
+    inverse = np.conj(gain) / (np.abs(gain) ** 2 + 0.01 / a[0] ** 2)
     return np.fft.irfft(np.fft.rfft(mirrored) * inverse, len(mirrored))[: error.samples]

@@ -25,8 +25,6 @@ from .correction import corrections
 from .mjcf import with_shared_weight
 from .result import SimToReal
 
-_WORSE = 1.1  # times the error with a higher order: what a lower one with its effects may leave
-
 
 @overload
 def diagnose(
@@ -159,7 +157,8 @@ def model_of_simulator(
         if error <= hidden:
             return model, own, 0.0
         tried.append((model, own, error))
-    return next(t for t in tried if t[2] <= _WORSE * min(error for *_, error in tried))
+    # a lower order with its effects may leave a tenth more than a higher one
+    return next(t for t in tried if t[2] <= 1.1 * min(error for *_, error in tried))
 
 
 def parameters_of(

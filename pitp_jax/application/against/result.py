@@ -20,8 +20,6 @@ from ..compare.remarks import remarks_on
 if TYPE_CHECKING:
     import pandas as pd
 
-_SEVERAL = 1.0  # % of range that the simulator's model misses: it may be more than one simulator
-
 
 @dataclass(frozen=True)
 class SimToReal:
@@ -104,7 +102,8 @@ class SimToReal:
                 f"Enter a delay of {1e3 * late.robot:.3g} ms in the simulator if the robot held every command for one "
                 f"sample of its log. If it did not, add half a sample ({number(half, 3)} ms)."
             )
-        if self.own >= _SEVERAL or self._share >= 0.05:
+        # a model that misses more may have to imitate more than one simulator
+        if self.own >= 1.0 or self._share >= 0.05:
             texts.append(
                 f"The model of the simulator misses {self.own:.2g} % of range of the simulator's recordings, which is "
                 f"{100 * self._share:.0f} % of the gap. If they were simulated with several loads or gains, put those "
@@ -114,10 +113,10 @@ class SimToReal:
 
     def __repr__(self) -> str:
         """Write verdict and parameters in at most ten lines."""
-        text = self.lines()
-        more = [f"  and {len(text) - 7} more"] if len(text) > 8 else []
-        head = f"SimToReal, {str(self.robot).splitlines()[0]}"
-        return "\n".join([head, *(f"  {line}" for line in text[: 8 - len(more)]), *more])
+        lines = self.lines()
+        if len(lines) > 8:
+            lines = [*lines[:7], f"and {len(lines) - 7} more"]
+        return "\n  ".join([f"SimToReal, {str(self.robot).splitlines()[0]}", *lines])
 
     def __str__(self) -> str:
         """Write verdict, parameters and remarks for the terminal."""

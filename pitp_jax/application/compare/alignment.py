@@ -15,11 +15,6 @@ from scipy.signal import correlate
 from ...method.signal.record import Record
 
 ALIKE = 0.99  # correlation from which two commands count as equal
-_SAME_SIZE = 0.1  # relative difference of amplitude up to which two commands count as equal
-_OVERLAP = 0.5  # of the shorter recording, at least
-_COARSE = 8192  # samples of the first search for the lag
-_EQUAL = 2e-3  # correlations that differ by less are equal: noise of a logged command changes a lag's value by as much
-_WORTH_REFINING = 0.7  # half a sample of lag turns a sine of four samples a period by 45 degrees
 
 
 @dataclass(frozen=True)
@@ -43,8 +38,8 @@ class Alignment:
 
     @property
     def accepted(self) -> bool:
-        """Return whether the two commands are equal except for time offset and sign."""
-        return abs(self.correlation) >= ALIKE and abs(self.size - 1) <= _SAME_SIZE
+        """Return whether the two commands are equal except for time offset, sign and a tenth of their size."""
+        return abs(self.correlation) >= ALIKE and abs(self.size - 1) <= 0.1
 
 
 _NOTHING = Alignment(0.0, 0.0, np.inf, np.inf)
@@ -60,7 +55,7 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
     """
     dt = max(a.dt, b.dt)
     longest = max(a.time[-1] - a.time[0], b.time[-1] - b.time[0])
-    dt *= max(1, int(np.ceil(longest / dt / _COARSE)))  # the peak is refined between samples anyway
+    dt *= max(1, int(np.ceil(longest / dt / 8192)))  # the peak is refined between samples anyway
     x, y = (_on_grid(r, dt) for r in (a, b))
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return _NOTHING, _NOTHING
@@ -69,13 +64,15 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
     alignments = []
     for sign in (1, -1):
         signed = sign * rho
-        good = np.flatnonzero(signed >= signed.max() - _EQUAL)
+        # noise of a logged command changes a lag's correlation by as much
+        good = np.flatnonzero(signed >= signed.max() - 2e-3)
         at = good[np.lexsort((-signed[good], -overlap[good]))[0]]
         # the peak with the longest overlap
         at = int(at + np.argmax(signed[max(at - 2, 0) : at + 3]) - min(at, 2))
         offset = float(a.time[0] - b.time[0] + lags[at] * dt)  # of clocks: lags count samples from both starts
         coarse = Alignment(float(rho[at]), offset, np.inf, np.inf)
-        alignments.append(_refined(a, b, coarse, sign) if signed[at] >= _WORTH_REFINING else coarse)
+        # half a sample of lag turns a sine of four samples a period by 45 degrees, whose cosine is 0.7
+        alignments.append(_refined(a, b, coarse, sign) if signed[at] >= 0.7 else coarse)
     return alignments[0], alignments[1]
 
 
@@ -88,7 +85,7 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Correlate two commands at all lags with enough overlap; return lags k (x_i beside y_{i-k}) and correlations."""
     lags = np.arange(-(len(y) - 1), len(x))
     low, high = np.maximum(0, lags), np.minimum(len(x), lags + len(y))
-    enough = (high - low) >= _OVERLAP * min(len(x), len(y))
+    enough = (high - low) >= 0.5 * min(len(x), len(y))
     lags, low, high = lags[enough], low[enough], high[enough]
     x, y = x - x.mean(), y - y.mean()
     cross = correlate(x, y, method="fft")[enough]

@@ -19,7 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.signal import chirp
 
-from ...common.numbers import number
+from ...common.numbers import finite, number
 from ...common.quantity import Units
 from ...common.units import base_unit
 from ...method.model.fitted import Fitted
@@ -31,50 +31,47 @@ from ...method.simulate.decoder import step
 from ...method.simulate.voltage_only import rollout
 from .result import Difference, measured
 
-_POINTS = (0.25, 0.6, 0.95)
-_SMALL = 0.01  # of the common input range: half the step of the static stiffness
 _STEP = 0.05  # relative change of a coefficient for its standard error
-_PERIODS, _MOST = 60, 20_000  # of the faster model in the sweep; its samples
 
 
 @dataclass(frozen=True)
 class Behaviour:
-    """The responses of one model to the inputs that both models know, with standard errors (None: error unknown).
+    """The responses of one model to the inputs that both models know, with standard errors (nan: unknown).
 
     Attributes:
         run: displacement in the sweep from its first sample on, m.
-        own: rms error on the model's own recordings, m; None if unknown.
+        own: rms error on the model's own recordings, m; nan if unknown.
         quantities: by words and unit: values and standard errors at the operating points; nan if unknown. The settled
             displacement, the stiffness dF/dx, and resonance and damping of the mode that moves the displacement most.
     """
 
     run: Float[np.ndarray, " time"]
-    own: float | None
+    own: float
     quantities: dict[tuple[str, str], Float[np.ndarray, "2 points"]]
 
 
-def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], str | None]:
+def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], list[str]]:
     """Compare displacement, stiffness, resonance and damping of two models at three inputs, and one simulated sweep.
 
     Returns:
-        rows, and a sentence with the reason if there are none; one of the two is empty.
+        rows, and remarks: the reason if there are no rows.
     """
     if why := _apart(a, b):
-        return [], why
+        return [], [why]
     low, high = _common_range(a, b)
-    points = low + np.array(_POINTS) * (high - low)
+    points = low + np.array([0.25, 0.6, 0.95]) * (high - low)
     drive, dt = _sweep(a, b, low, high)
     units = units_of(a)
-    one, two = (_behaviour(m, points, _SMALL * (high - low), drive, dt, units) for m in (a, b))
+    one, two = (_behaviour(m, points, 0.01 * (high - low), drive, dt, units) for m in (a, b))
     rows = [_free_run_row(one, two)]
     for k, level in enumerate(points):
         for (what, unit), known in one.quantities.items():
             both = np.stack([known[:, k], two.quantities[what, unit][:, k]], 1).tolist()
-            values, errors = ([v if np.isfinite(v) else None for v in pair] for pair in both)
+            values, errors = (list(map(finite, pair)) for pair in both)
             if values != [None, None]:
                 at = f"{what} at {units.input.text(level)}"
                 rows.append(measured(at, values[0], values[1], unit, (errors[0], errors[1])))
-    return rows, None
+    return rows, []
 
 
 def _apart(a: Fitted, b: Fitted) -> str | None:
@@ -98,8 +95,8 @@ def _common_range(a: Fitted, b: Fitted) -> tuple[float, float]:
 def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, float]:
     """Return a sweep of the input up to twice the higher resonance of two models, and its sampling interval (s)."""
     hertz = max(m.natural_frequency for m in (a, b)) / (2 * np.pi)
-    duration = _PERIODS / hertz
-    dt = max(min(a.dt, b.dt), duration / _MOST)
+    duration = 60 / hertz
+    dt = max(min(a.dt, b.dt), duration / 20_000)
     t = dt * np.arange(round(duration / dt))
     wave = chirp(t, hertz / 20, duration, min(2 * hertz, 0.2 / dt), method="logarithmic")
     return low + 0.48 * (high - low) * (1 - wave), dt
@@ -110,8 +107,7 @@ def _behaviour(
 ) -> Behaviour:  # fmt: skip
     model = fitted.model
     run = _run(model, drive, dt)
-    percent = own_error(fitted)
-    own = None if percent is None else percent * float(np.ptp(run)) / 100
+    own = own_error(fitted) * float(np.ptp(run)) / 100
     levels = np.stack([points - small, points, points + small])
     states = settled_states(model, levels.ravel(), model.dt, np.zeros(levels.size)).reshape(*levels.shape, -1)
     state, level = (on_device(a[1], model.coefficients.dtype) for a in (states, levels))
@@ -120,25 +116,24 @@ def _behaviour(
     forces = np.asarray(model.input_map.force(levels))
     resonance, damping = np.array([_mode(*pair, model.dt) for pair in zip(by_state, by_input, strict=True)]).T
     factor, unit = units.coefficient(0)
-    error = np.nan if own is None else own
-    settled = np.stack([at, np.full(len(at), error)])
+    settled = np.stack([at, np.full(len(at), own)])
     quantities = {(f"settled {units.output_word}", units.output.unit): units.output.shown(settled)}
     for name, values, k in (
         (("stiffness dF/dx", unit), factor * (forces[2] - forces[0]) / (above - below), None),
         (("resonance", "Hz"), resonance, 2),
         (("damping ratio", ""), damping, 1),
     ):
-        quantities[name] = np.stack([values, _error_of(model, k, run, error, drive, dt) * values])
+        quantities[name] = np.stack([values, _error_of(model, k, run, own, drive, dt) * values])
     return Behaviour(run, own, quantities)
 
 
-def own_error(fitted: Fitted) -> float | None:
-    """Return the model's rms error on its training recordings, % of range; None if unknown."""
+def own_error(fitted: Fitted) -> float:
+    """Return the model's rms error on its training recordings, % of range; nan if unknown."""
     training = fitted.origin.training or {}
     errors = [pair[1] for pair in training.get("errors", {}).values()]
     if errors:
         return float(np.sqrt(np.mean(np.square(errors))))
-    return float(fitted.origin.level) if np.isfinite(fitted.origin.level) else None
+    return float(fitted.origin.level)
 
 
 def _run(model: Model, drive: np.ndarray, dt: float) -> np.ndarray:
@@ -187,8 +182,8 @@ def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
     percent = 100 / span
     apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))
     what = "free runs of one sweep: rms difference"
-    if one.own is None or two.own is None:
-        return Difference(what, "reference", apart, "% of range", None, None if apart else False)
     known = percent * float(np.hypot(one.own, two.own))
+    if np.isnan(known):
+        return Difference(what, "reference", apart, "% of range", None, None if apart else False)
     what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
     return Difference(what, "reference", apart, "% of range", None, apart > known)

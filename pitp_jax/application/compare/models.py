@@ -15,26 +15,25 @@ from .behaviour import compare_behaviour
 from .description import describe
 from .result import Comparison, Difference, measured, stated
 
-_FACTS = {
-    "kind": "kind", "order": "order", "input_map": "input map", "encoder": "encoder", "memory_states": "memory states",
-    "hold": "hold of the input", "dt": "sampling interval (s)", "polarity": "direction of the sensor",
-    "voltage_range": "input seen",
-}  # fmt: skip
-
 
 def compare_models(a: Fitted, b: Fitted, names: tuple[str, str]) -> Comparison:
     """Compare the responses, facts and parameters of two models."""
     # both in the units of the first, because one value in deg and one in rad would differ by 57
     same_kinds = base_units(units_of(a)) == base_units(units_of(b))
     one, two = describe(a), describe(b, units_of(a) if same_kinds else None)
-    rows, why = compare_behaviour(a, b)
+    rows, remarks = compare_behaviour(a, b)
     rows += _adapted_rows(a, b)
-    rows += [stated(words, one[key], two[key]) for key, words in _FACTS.items()]
+    facts = {
+        "kind": "kind", "order": "order", "input_map": "input map", "encoder": "encoder",
+        "memory_states": "memory states", "hold": "hold of the input", "dt": "sampling interval (s)",
+        "polarity": "direction of the sensor", "voltage_range": "input seen",
+    }  # fmt: skip
+    rows += [stated(words, one[key], two[key]) for key, words in facts.items()]
     rows.append(measured("zero of the sensor", one["offset"], two["offset"], one["output_unit"], (0.0, 0.0)))
     if one["kind"] == two["kind"] == "identified":
         rows += _coefficients(one, two) if one["order"] == two["order"] else _modes(one, two)
     rows += _effects(one["effects"], two["effects"])
-    return Comparison("models", names, tuple(rows), (*([why] if why else []), *_origin(a, b, names)))
+    return Comparison("models", names, tuple(rows), (*remarks, *_origin(a, b, names)))
 
 
 def _adapted_rows(a: Fitted, b: Fitted) -> list[Difference]:
@@ -63,10 +62,9 @@ def _modes(one: dict, two: dict) -> list[Difference]:
     """Compare static stiffness and least damped mode of two linear models of different order."""
     stiffness = _coefficients(one, two)[0]
     # a heavily damped pole has no frequency of its own to compare
-    loud = [
+    here, there = (
         min((m for m in t["modes"] if m["oscillates"]), key=lambda m: m["damping"], default=None) for t in (one, two)
-    ]
-    here, there = loud
+    )
     if here is None or there is None:
         return [stiffness]
     return [

@@ -21,11 +21,7 @@ from ...method.signal.initial_state import noise_std
 from ...method.signal.record import Record
 from .alignment import ALIKE, Alignment, align
 
-_AS_GOOD = (1.5, 0.02)  # factor and fraction of the command's deviation by which a misfit may exceed the best one
-_FIRST, _LAST = 1e3, 1e-9  # weights: of the command before the response, of the name after it
 _REFUSED = 1e6  # cost above any accepted one, and finite, as the assignment needs
-_SMALL = 0.01  # of a constant between two sets of commands: its weight beside the distance from partners
-_MIRRORED = -0.5  # median correlation of the outputs below which the output of a set is mirrored
 
 
 @dataclass(frozen=True)
@@ -136,13 +132,13 @@ def pair_records(
 def _about_one_constant(matches: list[list[Alignment]]) -> list[list[Alignment]]:
     """Count in each misfit the distance from the constant at which the commands of the smaller set have partners.
 
-    Of two such constants the smaller one counts.
+    Of two such constants the smaller one counts: it adds a hundredth of its size to the distances.
     """
     shift = np.array([[m.shift if m.accepted else np.inf for m in row] for row in matches])
 
     def unmatched(constant: float) -> float:
         far = np.abs(shift - constant)
-        return min(float(near[np.isfinite(near)].sum()) for near in (far.min(0), far.min(1))) + _SMALL * abs(constant)
+        return min(float(near[np.isfinite(near)].sum()) for near in (far.min(0), far.min(1))) + 0.01 * abs(constant)
 
     best = min(shift[np.isfinite(shift)].tolist(), key=unmatched, default=0.0)
     return [[replace(m, misfit=float(np.hypot(m.misfit, (m.shift - best) / m.spread))) for m in row] for row in matches]
@@ -184,7 +180,7 @@ class _Table:
             for i, j in zip(*np.nonzero(_near(misfit) | _near(misfit.T).T), strict=True)
         }
         alike = [c / np.sqrt(a * b) for a, b, c in moments.values() if a * b > 0]
-        sign = -1 if alike and np.median(alike) < _MIRRORED else 1
+        sign = -1 if alike and np.median(alike) < -0.5 else 1
         distance = np.full(misfit.shape, np.inf)
         for (i, j), (a, b, c) in moments.items():
             distance[i, j] = max(a + b - 2 * sign * c - 2 * (noise[0][i] + noise[1][j]), 0.0)
@@ -213,7 +209,7 @@ class _Table:
         finite = self.distance[np.isfinite(self.distance)]
         response = self.distance / max(finite.max(initial=0.0), 1e-300)
         renamed = np.array([[a.name != b.name for b in self.others] for a in self.mine])
-        cost = _FIRST * np.maximum(excess, 0.0) + np.minimum(response, 1.0) + _LAST * renamed
+        cost = 1e3 * np.maximum(excess, 0.0) + np.minimum(response, 1.0) + 1e-9 * renamed
         return np.where(fits, cost, _REFUSED)
 
     def apart(self, i: int, k: int, partner: int) -> float:
@@ -257,8 +253,8 @@ class _Table:
 
 
 def _allowed(misfit: np.ndarray) -> np.ndarray:
-    factor, part = _AS_GOOD
-    return factor * misfit.min(axis=1, keepdims=True) + part
+    """Return the misfit, of the command's deviation, up to which a command is as good as the best one."""
+    return 1.5 * misfit.min(axis=1, keepdims=True) + 0.02
 
 
 def _near(misfit: np.ndarray) -> np.ndarray:
@@ -276,7 +272,8 @@ def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[t
         mates = [(table.apart(i, k, j), k, j) for k, j in chosen if j in fitting]
         if mates:
             apart, k, j = min(mates)
-            repeats |= {(i, j)} if apart <= table.distance[k, j] else set()
+            if apart <= table.distance[k, j]:
+                repeats.add((i, j))
     return repeats
 
 

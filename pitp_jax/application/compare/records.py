@@ -23,7 +23,6 @@ from .remarks import remarks_on
 from .result import Comparison, Difference, measured
 
 _BLOCKS = 8
-_NOISES = 3.0  # allowed difference of two recordings of one machine, in standard deviations of both sensors' noise
 
 
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
@@ -71,7 +70,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),
         Difference(f"{name}: rms difference (noise: {number(floor, 2)} {unit})", "reference", difference, unit, None,
-                   difference > _NOISES * floor),
+                   difference > 3 * floor),
     ]  # fmt: skip
 
 

@@ -8,7 +8,6 @@ from ...common.numbers import number
 from ...common.units import from_base
 from .pairing import Pairing
 
-_DAY = 86400.0  # s: clocks farther apart have different origins, such as epoch time and the start of a run
 _LISTED = 12  # names in one sentence; the JSON holds all
 
 
@@ -26,7 +25,7 @@ def remarks_on(pairing: Pairing, first: str, second: str) -> list[str]:
         middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
         by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
         word = "ahead of" if np.median(offsets) > 0 else "behind"
-        if middle > _DAY:
+        if middle > 86400:  # such as epoch time and the start of a run
             lines.append(f"The logs of {first} and {second} use different clocks, more than a day apart. Ignored.")
         else:
             lines.append(f"The clock of the {first} is {by} s {word} that of the {second}. This is not a delay.")

@@ -15,8 +15,6 @@ from ...common.shown import Shown
 from ...common.units import from_base
 from .pairing import Pairing
 
-_LINES = 9  # of differences in a repr, below its headline
-
 
 @dataclass(frozen=True)
 class Difference:
@@ -81,9 +79,9 @@ class Comparison(Shown):
     def __repr__(self) -> str:
         """Write the headline and the first quantities that differ."""
         lines = [r.words() for r in self.different]
-        more = [f"  and {len(lines) - _LINES + 1} more"] if len(lines) > _LINES else []
-        shown = lines[: _LINES - 1] if more else lines
-        return "\n".join([f"Comparison of {self.kind}: {self.headline()}", *(f"  {x}" for x in shown), *more])
+        if len(lines) > 9:
+            lines = [*lines[:8], f"and {len(lines) - 8} more"]
+        return "\n  ".join([f"Comparison of {self.kind}: {self.headline()}", *lines])
 
     def table(self, rows: Sequence[Difference]) -> Table:
         """Return the table of some quantities, for the page and the terminal."""

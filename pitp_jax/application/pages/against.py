@@ -9,9 +9,7 @@ from ...common.units import from_base
 from ..against.result import SimToReal
 from .compare import overlay
 from .diagnosis.page import budget_table
-from .drawing import DRIVE, signals, some_periods
-
-_DRAWN = 12  # recordings
+from .drawing import DRAWN, DRIVE, signals, some_periods
 
 
 def page(result: SimToReal) -> Page:
@@ -22,8 +20,8 @@ def page(result: SimToReal) -> Page:
 
 def figures(result: SimToReal) -> list[Picture]:
     """Draw every recording: robot and simulator, and the input to add."""
-    made = [overlay(pair, ("robot", "simulator"), "overlay") for pair in result.pairs.pairs[:_DRAWN]]
-    for record, added in list(zip(result.records, result.corrections, strict=True))[:_DRAWN]:
+    made = [overlay(pair, ("robot", "simulator"), "overlay") for pair in result.pairs.pairs[:DRAWN]]
+    for record, added in list(zip(result.records, result.corrections, strict=True))[:DRAWN]:
         unit = record.voltage_unit
         shown = from_base(added, unit)
         panels = [(f"added input ({shown_unit(unit)})", shown, DRIVE)]

@@ -9,6 +9,7 @@ from ...common.numbers import figure, shown_unit, with_error
 from ...common.page import Page, Section, Table
 from ...common.picture import Picture, figure_of, finish, new_axes
 from ...common.quantity import grouped
+from ...files.recordings.remarks import counted
 from ...method.identify.identification import Identification
 from ...method.identify.order_fit import OrderFit
 from ...method.model.units import units_of
@@ -19,12 +20,12 @@ from .tables import orders
 
 def bode_page(fits: Identification, name: str) -> Page:
     """Return the page on an identification whose model file is `name`."""
-    chosen, count = fits.chosen, len(fits.beginnings)
+    chosen, recordings = fits.chosen, counted(len(fits.beginnings), "recording")
     hold = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
     return Page(
         f"Order {chosen.order}, {hold}{delay}",
-        f"Identification of {name} on {count} recording{'s'[: count != 1]}",
+        f"Identification of {name} on {recordings}",
         [_why(fits), sensor_line(fits.model), *fits.remarks, [bode(fits), _residuals(fits)]],
         [
             Section("Orders compared", [orders(fits)]),

@@ -8,10 +8,7 @@ from ...common.units import from_base
 from ...files.recordings.remarks import counted
 from ...method.signal.record import Record
 from ..check.check import Check, CheckedRecord
-from .drawing import DRIVE, MEASURED, PREDICTED, signals, volts
-
-_DRAWN = 24  # records; a page with more is too long to read
-_BEGINS = {"rest": "starts at rest", "held": "starts settled at a held input", "moving": "starts moving"}
+from .drawing import DRAWN, DRIVE, MEASURED, PREDICTED, signals, volts
 
 
 def page(check: Check) -> Page:
@@ -20,7 +17,7 @@ def page(check: Check) -> Page:
     Args:
         check: result of `pitp check` for a set.
     """
-    wrong, shown = len(check.problems), check.understood[:_DRAWN]
+    wrong, shown = len(check.problems), check.understood[: 2 * DRAWN]
     more = len(check.understood) - len(shown)
     problems = [f"{name}: {line}" for name, lines in check.problems.items() for line in lines]
     return Page(
@@ -92,5 +89,6 @@ def _coverage(check: Check) -> list[Picture]:
 def _drawn(name: str, record: Record, row: CheckedRecord) -> Picture:
     unit, (drive, label) = record.displacement_unit, volts(record.voltage, record.voltage_unit)
     output = (f"output ({shown_unit(unit)})", from_base(record.displacement, unit), MEASURED)
-    caption = f"{record.name}: {row.excitation}, {_BEGINS.get(row.begins or '', 'initial state not known')}"
+    starts = {"rest": "starts at rest", "held": "starts settled at a held input", "moving": "starts moving"}
+    caption = f"{record.name}: {row.excitation}, {starts.get(row.begins or '', 'initial state not known')}"
     return Picture(name, signals(record.time, [output, (label, drive, DRIVE)], (2, 1)), caption)

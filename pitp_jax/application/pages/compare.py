@@ -9,9 +9,7 @@ from ...common.picture import Picture
 from ...common.units import from_base
 from ..compare.pairing import Pair
 from ..compare.result import Comparison
-from .drawing import PREDICTED, beside, some_periods
-
-_DRAWN = 12  # pairs of recordings
+from .drawing import DRAWN, PREDICTED, beside, some_periods
 
 
 def page(result: Comparison) -> Page:
@@ -26,7 +24,7 @@ def figures(result: Comparison) -> list[Picture]:
     pairs = () if result.pairs is None else result.pairs.pairs
     count = Counter(p.first.name for p in pairs)
     # one recording may appear in several
-    return [overlay(pair, result.names, "pair", count[pair.first.name] > 1) for pair in pairs[:_DRAWN]]
+    return [overlay(pair, result.names, "pair", count[pair.first.name] > 1) for pair in pairs[:DRAWN]]
 
 
 def overlay(pair: Pair, names: tuple[str, str], kind: str, several: bool = False) -> Picture:

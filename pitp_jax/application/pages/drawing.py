@@ -21,7 +21,8 @@ MEASURED, PREDICTED, ERROR, DRIVE = "#a6a6a6", "#0072b2", "#d55e00", "#009e73"  
 CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 TIME = "time from the start (s)"
-_PERIODS, _DRAWN_PERIODS = 25, 12  # of a sine: more than the first make a solid block; the second is then drawn
+DRAWN = 12  # recordings on a page; more are too long to read
+_PERIODS = 12  # of a sine are drawn, if all of them would make a solid block
 
 
 def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
@@ -43,13 +44,13 @@ def some_periods(values: np.ndarray) -> slice:
     sides = np.where(np.abs(y) > 0.1 * np.ptp(y), np.sign(y), 0.0)
     places = np.flatnonzero(sides)
     turns = places[1:][np.diff(sides[places]) != 0]
-    if len(turns) <= 2 * _PERIODS:
+    if len(turns) <= 50:  # 25 periods
         return slice(None)
     short, long = np.quantile(np.diff(turns), (0.1, 0.9))
     if long > 2 * short:
         return slice(None)
-    first = len(turns) // 2 - _DRAWN_PERIODS
-    return slice(int(turns[first]), int(turns[first + 2 * _DRAWN_PERIODS]) + 1)
+    first = len(turns) // 2 - _PERIODS
+    return slice(int(turns[first]), int(turns[first + 2 * _PERIODS]) + 1)
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:
@@ -134,10 +135,9 @@ def write_picture(folder: Path, picture: Picture) -> None:
     Raises:
         BadInput: a file cannot be written.
     """
-    file = folder / FIGURES / f"{picture.name}.png"
+    file, table = (folder / FIGURES / f"{picture.name}.{kind}" for kind in ("png", "csv"))
     file.parent.mkdir(parents=True, exist_ok=True)
     picture.drawn.savefig(file, dpi=150)
-    table = file.with_name(f"{file.name.removesuffix('.png')}.csv")
     if picture.columns is not None:
         write_csv(table, picture.columns)
         return
@@ -155,7 +155,7 @@ def _rows(drawn: Figure) -> Iterator[str]:
         for patch in ax.patches:
             if isinstance(patch, Rectangle):
                 x, y = patch.get_x() + patch.get_width() / 2, patch.get_y() + patch.get_height()
-                yield f"{axes},{_quoted('bar')},{x:.9g},{y:.9g}"
+                yield f'{axes},"bar",{x:.9g},{y:.9g}'
 
 
 def _quoted(text: str) -> str:

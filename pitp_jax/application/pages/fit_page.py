@@ -24,11 +24,8 @@ from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.record import Record
 from ...method.simulate.prediction import Prediction, predict
 from ..compare.description import fallback_line
-from .drawing import CYCLE, ERROR, MEASURED, PREDICTED, beside
+from .drawing import CYCLE, DRAWN, ERROR, MEASURED, PREDICTED, beside
 from .tables import scores as scores_table
-
-_KNOWN = 0.5  # standard error of ln tau above which a time constant counts as unknown
-_SHOWN = 12  # records drawn, the worst first
 
 
 def fit_page(
@@ -46,9 +43,12 @@ def fit_page(
     errors = [_error(scores[r.name]) for r in records]
     runs = sorted(zip(errors, records, predictions, strict=True), key=lambda run: -run[0])
     complete = [(r, p) for error, r, p in runs if not p.diverged and np.isfinite(error)]
-    pictures = [_map(records, errors), *([_spectra(complete)] if complete else [])]
-    pictures += [_tokens(model)] if len(model.domain.region) else []
-    shown = [(error, r, p) for error, r, p in runs[:_SHOWN] if not p.diverged]
+    pictures = [_map(records, errors)]
+    if complete:
+        pictures.append(_spectra(complete))
+    if len(model.domain.region):
+        pictures.append(_tokens(model))
+    shown = [run for run in runs[:DRAWN] if not run[2].diverged]
     return Page(
         f"Off by {figure(float(np.median(errors)), 2)} % of range, at most {figure(max(errors), 2)} %",
         f"Free runs of {name} beside {len(records)} recordings",
@@ -79,8 +79,7 @@ def _cards(model: Fitted, records, predictions, scores) -> list[Card]:
     if isinstance(model.memory, RingingMemory):
         memory.append(f"and a second mass at {figure(float(model.memory.ring[0]) / (2 * np.pi))} Hz")
     if fading:
-        what = "The past motion fades within them (creep of the film). The network can compensate for changes."
-        memory.append(what)
+        memory.append("The past motion fades within them (creep of the film). The network can compensate for changes.")
     hertz = figure(model.natural_frequency / (2 * np.pi))
     return [
         Card("Error", big, lines),
@@ -120,7 +119,8 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     longest, lines = max(r.samples * r.dt for r in records), []
     for tau, stderr in times:
         mark = ", longer than the recordings" if tau > longest else ""
-        lines.append(f"{figure(tau, 2)} s{', not determined' if stderr >= _KNOWN else mark}")
+        # a standard error of ln tau
+        lines.append(f"{figure(tau, 2)} s{', not determined' if stderr >= 0.5 else mark}")
     return lines
 
 

@@ -3,9 +3,7 @@
 from ...common.page import Page, Section, Table
 from ...common.picture import Picture
 from ...files.mjcf.verify import Played, Verification
-from .drawing import ERROR, PREDICTED, beside, some_periods
-
-_DRAWN = 12  # recordings
+from .drawing import DRAWN, ERROR, PREDICTED, beside, some_periods
 
 
 def table(verified: Verification) -> Table:
@@ -16,7 +14,8 @@ def table(verified: Verification) -> Table:
         rows.append((p.record.name, "no" if p.held_out else "yes", before, p.gap()))
     bold = [p.held_out for p in verified.played]
     note = "Gap: rms of the difference, % of the recording's range. In the order given."
-    note += " The diagnosis did not use the recordings in bold." if any(bold) else ""
+    if any(bold):
+        note += " The diagnosis did not use the recordings in bold."
     header = ("recording", "used by the diagnosis", "gap before (%)", "gap after (%)")
     return Table(header, rows, note, bold, (0, 1))
 
@@ -30,7 +29,7 @@ def page(verified: Verification) -> Page:
     }[verified.better]
     kind = f"Joint {verified.joint} of {verified.mjcf}, MuJoCo {verified.version}"
     lines = [text.replace("->", "→") for text in verified.lines()]
-    drawn = [_drawn(p) for p in verified.played[:_DRAWN]]
+    drawn = [_drawn(p) for p in verified.played[:DRAWN]]
     return Page(headline, kind, [lines, table(verified)], [Section("Recordings", [drawn])])
 
 

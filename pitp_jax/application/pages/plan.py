@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...common.numbers import figure
+from ...common.numbers import figure, finite
 from ...common.page import Card, Page, Section, Table
 from ...common.picture import Picture
 from ...common.units import column_name
@@ -75,7 +75,7 @@ def table(plan: Plan) -> Table:
     for r in plan.recordings:
         inputs = (float(drive.shown(np.abs(r.voltage).max())), float(drive.shown(r.slew)))
         strokes = (float(stroke.shown(r.stroke)), float(stroke.shown(r.stroke_half_damped)))
-        bound = None if r.go_on == np.inf else float(stroke.shown(r.go_on))
+        bound = finite(stroke.shown(r.go_on))
         rows.append((r.name, r.kind, r.seconds, r.rest, *inputs, *strokes, bound, r.purpose))
     return Table(header, rows, "In the order to play.", text=(0, 1, 9), omitted=("–", "", "0"))
 

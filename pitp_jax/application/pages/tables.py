@@ -15,10 +15,9 @@ if TYPE_CHECKING:  # it loads what identifies
 def orders(fits: "Identification") -> Table:
     """Return the table of the compared orders; the chosen one is bold."""
     unit = units_of(fits.model).output.unit
-
     rows = []
     for fit in fits.orders:
-        delay, rms = 1e3 * fit.delay if fit.delay else None, float(from_base(fit.rms, unit))
+        delay, rms = 1e3 * fit.delay or None, float(from_base(fit.rms, unit))
         poles, determined = ", ".join(f"{hz:.3g}" for hz in fit.natural_hz), "yes" if fit.identifiable else "no"
         rows.append((str(fit.order), fit.hold, delay, fit.heldout, rms, poles, determined))
     header = (

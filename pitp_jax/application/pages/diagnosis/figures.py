@@ -23,9 +23,7 @@ from ..drawing import DRIVE, ERROR, MEASURED, PREDICTED, beside, signals, volts
 
 TIED = "#e69f00"
 FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")
-_HEAT = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
 _SMALL = 8.0  # points: text beside bars
-_ROWS, _CYCLES = 12, 6  # effects in the ranking figure; oscillations in the zoom
 
 
 def figures(d: Diagnosis) -> dict[str, Picture]:
@@ -73,7 +71,7 @@ def telling(trace: Trace) -> slice:
     width = max(total // 8, min(total, 64))
     peak = _loudest(e, width)
     near = np.count_nonzero((turns >= peak) & (turns < peak + width)) / 2
-    width = int(np.clip(_CYCLES * width / max(near, 1e-9), min(total, 64), total))
+    width = int(np.clip(6 * width / max(near, 1e-9), min(total, 64), total))
     first = _loudest(e, width)
     return slice(first, first + width)
 
@@ -90,9 +88,10 @@ def where_map(d: Diagnosis) -> tuple[Figure, str]:
     bands = sorted({(*c["band_hz"],) for c in cells})
     sizes = sorted({(*c["amplitude"],) for c in cells})
     largest = max([c["share"] for c in cells], default=0.0) or 1.0
+    heat = LinearSegmentedColormap.from_list("gap", ["#f3f6f9", "#e69f00", "#c03a00"])
     for cell in cells:
         i, j = bands.index((*cell["band_hz"],)), sizes.index((*cell["amplitude"],))
-        ax.add_patch(Rectangle((i, j), 1, 1, color=_HEAT(cell["share"] / largest), lw=0))
+        ax.add_patch(Rectangle((i, j), 1, 1, color=heat(cell["share"] / largest), lw=0))
         if cell["flagged"]:
             ax.add_patch(Rectangle((i + 0.05, j + 0.06), 0.9, 0.88, fill=False, edgecolor="#1a1a1a", lw=1.4))
         if cell["share"] >= 0.01:
@@ -119,7 +118,7 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the held-out gap that each effect closes, with its interval, the largest first."""
     rows = [("all reported", d.gap)] if len(d.effects) > 1 and d.gap.closed_fraction is not None else []
     best = {r.effect: r for r in reversed(d.ranking) if r.closed_fraction is not None}  # of a name its best form
-    rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: _ROWS - len(rows)]
+    rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: 12 - len(rows)]
     (ax,) = axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))
     for k, (name, r) in enumerate(rows):
         color = TIED if name in d.equivalent else MEASURED

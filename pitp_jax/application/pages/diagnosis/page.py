@@ -14,8 +14,6 @@ from ....method.diagnose.words import NEXT_CSV, errors, named, numbers_of, summa
 from ....method.model.units import units_of
 from .figures import by_closed_fraction, figures, fraction_closed, refitted, scaling
 
-_NEAREST = 3  # candidates named on a card
-
 
 def report(d: Diagnosis, drawn: Mapping[str, Picture] | None = None) -> Page:
     """Return the page of a diagnosis: verdict, location, cause and reduction of the gap, figures, tables.
@@ -54,7 +52,7 @@ def _which(d: Diagnosis) -> Card:
     scored = [r for r in d.ranking if r.effect not in d.effects and r.closed_fraction is not None]
     nearest = [
         f"{r.effect}: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range"
-        for r in by_closed_fraction(scored)[:_NEAREST]
+        for r in by_closed_fraction(scored)[:3]
     ]
     if d.equivalent:
         nearest.insert(0, f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}.")
