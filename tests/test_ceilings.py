@@ -16,8 +16,8 @@ PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 5888, "method/numerics": 9900, "method/signal": 13285, "method/model": 12480, "method/effects": 11343,
     "method/simulate": 18849, "method/fit": 7470, "method/identify": 25081, "method/train": 15470,
-    "method/invert": 19009, "method/diagnose": 50528, "method/adapt": 4807, "files/containers": 31893,
-    "files/recordings": 12866, "files/model_file": 5660, "files/export": 11390, "files/mjcf": 8864,
+    "method/invert": 19009, "method/diagnose": 50528, "method/adapt": 4807, "files/containers": 31885,
+    "files/recordings": 12803, "files/model_file": 5660, "files/export": 11390, "files/mjcf": 8864,
     "application/commands": 18426, "application/pages": 10970, "application/compare": 10619, "application/plan": 9430,
     "application/check": 7966, "application/against": 3422, "application/demo": 4014, "application/plant": 2455,
 }  # fmt: skip

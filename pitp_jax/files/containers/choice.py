@@ -18,8 +18,10 @@ from .options import OPTIONS, ReadOptions
 from .refusal import Refused
 from .table import Column, Table
 
-_EFFORTS = (("voltage",), ("current", "force", "torque", "pressure"))  # candidates for the input, the likelier first
-_MOTIONS = (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure"))
+_KINDS = {  # of an input and of an output, the likelier first
+    "input": (("voltage",), ("current", "force", "torque", "pressure")),
+    "output": (("length", "angle"), ("angular speed", "speed", "acceleration"), ("force", "torque", "pressure")),
+}
 _WORD = {
     "time": "time (time_s, ...)",
     "voltage": "input (voltage_V, input_rad, ...)",
@@ -28,11 +30,6 @@ _WORD = {
 _FEW = {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
-_SLOWEST, _FASTEST = 0.1, 1e-6  # steps of a clock without a unit that are certainly not seconds
-_EPOCH = 1e9, 4e9  # s since 1970: the years 2001 to 2096
-_MOST_LOADED = 16  # columns whose values a proposal looks at
-_RISING = 0.9  # fraction of the steps of a clock
-_MONITOR = 10.0  # V: the range of a DAQ
 
 
 @dataclass(frozen=True)
@@ -158,11 +155,11 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     """
     seen = time[np.isfinite(time)]
     step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
-    if len(seen) and seen.min() > _EPOCH[0] and seen.max() < _EPOCH[1]:
+    if len(seen) and seen.min() > 1e9 and seen.max() < 4e9:  # s since 1970: the years 2001 to 2096
         return None
-    # 0, 1, 2, ... may count samples, ms or s
+    # 0, 1, 2, ... may count samples, ms or s; steps of 0.1 or of less than 1e-6 are certainly not seconds
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
-    if not (whole or step >= _SLOWEST or 0 < step < _FASTEST):
+    if not (whole or step >= 0.1 or 0 < step < 1e-6):
         return None
     how = "counts in whole numbers" if whole else f"rises in steps of {step:.3g}"
     return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
@@ -265,7 +262,7 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
 def _ticks(values: np.ndarray) -> bool:
     """Return whether values increase like a clock, which may overflow or restart."""
     steps = np.diff(values[np.isfinite(values)])
-    return len(steps) > 0 and bool((steps >= 0).mean() > _RISING and (steps > 0).any())
+    return len(steps) > 0 and bool((steps >= 0).mean() > 0.9 and (steps > 0).any())
 
 
 def agree(first: np.ndarray, other: np.ndarray, within: float, *, shifted: bool = False) -> bool:
@@ -302,7 +299,7 @@ def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
         return named
     bare = [s for s in data if s.role == role]
     free = [s for s in data if s.role is None]
-    for kinds in _EFFORTS if role == "input" else _MOTIONS:
+    for kinds in _KINDS[role]:
         some = [s for s in free if s.kind in kinds]
         if some:
             return some + bare
@@ -414,7 +411,7 @@ def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, row
         pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & _COUNTERS]
     free = [s for s in pool if s.place not in taken]
     free.sort(key=lambda s: (s.role == wrong, not (role == "input" and s.header.commanded), s.role != role))
-    for s in free[:_MOST_LOADED]:
+    for s in free[:16]:  # more columns are not loaded for a proposal
         values = _values(table, s.place)
         if rows in (0, len(values)) and values.size and np.ptp(values) > 0:
             return s
@@ -474,7 +471,7 @@ def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
     if not len(values) or seen.kind not in (None, "voltage") or seen.unit == "kV":
         return False
     if seen.unit is not None:
-        return float(np.abs(to_base(values, seen.unit)).max()) <= _MONITOR
+        return float(np.abs(to_base(values, seen.unit)).max()) <= 10.0  # V: the range of a DAQ
     alone = seen.header.words == {"voltage"} and seen.column.name.lower() != "voltage"  # Voltage_0 of a DAQ
     return bool(seen.header.words & _DAQ) or alone
 

@@ -20,7 +20,6 @@ from .refusal import Refused, unrefused
 from .structure import keys_in_turn, refreshed, sign_bit, signed
 from .table import Column, Table
 
-_MOST_PARTS = 1000  # recordings in a file: a column with more values is a signal, not a run number
 _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
 
 
@@ -178,10 +177,9 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
 def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tuple[dict, dict[str, Choice]]:
     """Read input and output as sign and magnitude where a bit of their registers is the sign."""
     ports = [(q, c.place) for q, c in chosen.items() if q != "time" and c.place is not None]
-    bits = {q: sign_bit(values[place]) for q, place in ports}
-    shared = next((bit for bit in bits.values() if bit is not None), None)
-    for q, place in ports:
-        bit = bits[q] if bits[q] is not None else sign_bit(values[place], shared)
+    shared = next((bit for _, place in ports if (bit := sign_bit(values[place])) is not None), None)
+    for q, place in ports * (shared is not None):
+        bit = sign_bit(values[place], shared)
         if bit is not None:
             values = values | {place: signed(values[place], bit)}
             chosen = chosen | {q: chosen[q].noted(f"sign and magnitude: bit {bit} is the sign")}
@@ -191,10 +189,9 @@ def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tupl
 def _as_refreshed(loaded: dict, chosen: dict[str, Choice]) -> tuple[dict, np.ndarray | None, dict[str, Choice], float]:
     """Return the recording at the rate of its output's refreshes, if the log is faster than the bus behind it."""
     time, voltage, output = (loaded[q] for q in ("time", "voltage", "displacement"))
-    if not len(time) == len(voltage) == len(output) or not (np.diff(time) > 0).all() or not np.isfinite(voltage).all():
-        return loaded, None, chosen, 1.0
     refreshes = refreshed(output)
-    if refreshes is None:
+    even = len(time) == len(voltage) == len(output)
+    if refreshes is None or not (even and (np.diff(time) > 0).all() and np.isfinite(voltage).all()):
         return loaded, None, chosen, 1.0
     at, period = refreshes
     rows = np.ceil(at - 1e-6).astype(int)
@@ -233,9 +230,9 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
     time = loaded.get("time")
     if time is None:
         assert rate is not None
-        if 0 < table.blanks < count / 2:
+        if 0 < (blanks := table.blanks()) < count / 2:
             raise BadInput(
-                f"{table.blanks} empty lines between the rows of a file without a clock; split the file "
+                f"{blanks} empty lines between the rows of a file without a clock; split the file "
                 "there if samples were lost"
             )
         loaded["time"] = np.arange(count) / rate
@@ -248,12 +245,12 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         unfit = f"the clock {name!r} is empty; give --rate HZ"
     elif len(seen) > 1 and choice.bare:
         unfit, remedy = _unknown_clock(time, name, rate), {"--time-unit": "UNIT"}
-    if unfit and rate is None:
+    if not unfit:
+        return choice
+    if rate is None:
         raise Refused(unfit, remedy)
-    if unfit and rate is not None:
-        loaded["time"] = np.arange(count) / rate
-        return Choice(None, "--rate", "s", unfit.partition(";")[0])
-    return choice
+    loaded["time"] = np.arange(count) / rate
+    return Choice(None, "--rate", "s", unfit.partition(";")[0])
 
 
 def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
@@ -290,7 +287,7 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     # run 1.0 of a float column is named 1
     labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
-    if len(first) > _MOST_PARTS:
+    if len(first) > 1000:  # a signal, not a run number
         raise BadInput(f"column {name!r} of --split-by has {len(first)} values; choose a column that numbers the runs")
     parts = []
     for label in first:

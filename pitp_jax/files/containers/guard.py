@@ -19,6 +19,7 @@ import numpy as np
 from ...common.errors import BadInput, cleaned
 
 MAX_COLUMNS = 4096
+MAX_ENTRIES = 256  # of a list that become columns; images and scans are longer
 MAX_SAMPLES = 10_000_000  # 80 MB a column in float64
 MAX_BYTES = 1 << 30  # 1 GiB, because a file is read into memory as a whole
 _UNFOLDED, _PLAIN = 200, 1 << 20  # times its size that an archive may unfold to; a mebibyte is always harmless

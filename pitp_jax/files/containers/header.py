@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from ...common.errors import BadInput, cleaned
 from ...common.units import spelt
@@ -25,8 +26,6 @@ _NUMBER = {
 }
 MISSING = frozenset(("", "nan", "-nan", "na", "n/a", "null", "none"))
 _WORDS = MISSING | {"inf", "-inf", "+inf", "infinity", "-infinity"}
-_LONGEST_UNIT = 12  # letters: `Millimeters` is one, a sentence is not
-_MOST_NAMES = 4  # rows above the numbers that are tried as names
 _KEYS = (  # of rows that start with a key: `TraceName,CH1,CH2`, `UnitName=  kV  mm`
     re.compile(r"((trace|channel|signal|curve)[ _]?)?(name|title|label|channel)s?[:=]?", re.IGNORECASE),
     re.compile(r"((v|y|vertical|channel|signal)[ _]?)?units?[ _]?(name|label|string)?[:=]?", re.IGNORECASE),
@@ -83,6 +82,7 @@ class Layout:
     hint: str = ""
 
 
+@lru_cache(1 << 12)  # every guess about the first rows asks it of the same cells
 def is_number(cell: str, decimal: str) -> bool:
     """Return whether a cell holds a number, is empty or says nan."""
     return bool(_NUMBER[decimal].match(cell)) or cell.lower() in _WORDS
@@ -123,7 +123,7 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
             raise BadInput(f"line {header_line} is empty or not above the numbers; give another --header-line")
         above = [k for k in above if k == names[0]] or names
     plain_rows = [k for k in above if not rows.commented[k]]
-    named = (plain_rows or above)[:_MOST_NAMES]  # a comment above a row of names is not a row of names
+    named = (plain_rows or above)[:4]  # a comment above a row of names is not a row of names
     readings = list(unrefused(lambda k: _named(bare, rows, k, units, widths, first), named))
     return readings or [_unnamed(bare, rows, units, first, widths)]
 
@@ -234,9 +234,9 @@ def _is_units(row: Sequence[str]) -> bool:
     if _numeric([cell for cell in row if cell != "1"]):
         return False
     cells = [_of_unit(cell) for cell in row if cell.strip("[]()- ") and cell != "1"]
-    # a channel in dB or without a unit beside them is allowed
+    # a channel in dB or without a unit beside them is allowed; `Millimeters` is a unit, a sentence is not
     known = sum(spelt(cell) is not None for cell in cells)
-    return known > 0 and 2 * known >= len(cells) and all(len(cell) <= _LONGEST_UNIT for cell in cells)
+    return known > 0 and 2 * known >= len(cells) and all(len(cell) <= 12 for cell in cells)
 
 
 def _of_unit(cell: str) -> str:

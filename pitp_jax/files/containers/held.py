@@ -8,9 +8,6 @@ over a step represents the input wherever in the step it changed.
 
 import numpy as np
 
-_MOST = 0.5  # fraction of the output's rows: an input missing in more was not written there
-_OWN = 0.1  # fraction of rows with only the input, and with only the output, that shows rows of messages
-
 
 def mean_of_held(time: np.ndarray, values: np.ndarray, ends: np.ndarray) -> np.ndarray:
     """Return the mean of a held signal over each interval.
@@ -41,12 +38,13 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
     """
     time, voltage = loaded["time"], loaded["voltage"]
     output = loaded.get("displacement", np.zeros_like(voltage))
-    if not len(time) == len(voltage) == len(output):
+    if not len(time) == len(voltage) == len(output) or (written := np.isfinite(voltage) & np.isfinite(time)).all():
         return loaded, None, 1.0
-    written, seen = np.isfinite(voltage) & np.isfinite(time), np.isfinite(output) & np.isfinite(time)
-    alone = min((written & ~seen).mean(), (seen & ~written).mean()) if len(time) else 0.0
+    seen = np.isfinite(output) & np.isfinite(time)
+    alone = min((written & ~seen).mean(), (seen & ~written).mean())
     missing = (seen & ~written).sum() / max(seen.sum(), 1)
-    if written.sum() < 2 or not (missing > _MOST or alone >= _OWN) or np.isinf(voltage).any():
+    # most outputs have no input beside them, or many rows have only an input and many only an output
+    if written.sum() < 2 or not (missing > 0.5 or alone >= 0.1) or np.isinf(voltage).any():
         return loaded, None, 1.0
     # the input is unknown before it is first written
     first = int(np.argmax(written))

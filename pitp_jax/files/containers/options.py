@@ -23,20 +23,18 @@ from .refusal import FOLDER_FILE, about
 
 OPTIONS = {"time": "time", "voltage": "input", "displacement": "output"}  # quantity -> stem of its options
 _FINITE = {"factor": "finite number other than 0", "positive": "positive number", "number": "finite number"}
-_RANGE = {"from_s": "from", "to_s": "to"}  # `from` is a reserved word of Python
 
 
 def option_of(name: str) -> str:
     """Return the command-line option for a field of `ReadOptions`, without dashes."""
-    return _RANGE.get(name, name.replace("_", "-"))
+    # `from` is a reserved word of Python
+    return {"from_s": "from", "to_s": "to"}.get(name, name.replace("_", "-"))
 
 
 _LENGTHS, _VOLTS = "m|mm|um|cm|nm", "V|kV|mV"
 _OTHERS = (
     "A|mA, N|kN|N m, bar|kPa|MPa|psi, rad|deg|rev, rad/s|deg/s|rpm, m/s|m/s2, counts|percent, another of SI symbols (W)"
 )
-_INPUT_UNIT = f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"
-_OUTPUT_UNIT = f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"
 
 
 def _option(placeholder: str, kind: str, help_: str) -> Any:
@@ -58,8 +56,12 @@ class ReadOptions:
     input_column: str | None = _option("NAME", "text", "input column: its exact header or its number")
     output_column: str | None = _option("NAME", "text", "output column: its exact header or its number")
     time_unit: str | None = _option("UNIT", "text", "unit of the time, overrides the file: s|ms|us|ns|min|h|d")
-    input_unit: str | None = _option("UNIT", "text", _INPUT_UNIT)
-    output_unit: str | None = _option("UNIT", "text", _OUTPUT_UNIT)
+    input_unit: str | None = _option(
+        "UNIT", "text", f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"
+    )
+    output_unit: str | None = _option(
+        "UNIT", "text", f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"
+    )
     input_scale: float | None = _option("S", "factor", "factor of the input column to V (monitor of 1 V per kV: 1000)")
     output_scale: float | None = _option("S", "factor", "factor of the output column to m (2 mm per V: 0.002)")
     input_offset: float | None = _option("U", "number", "subtracted from the input column, in the file's numbers")

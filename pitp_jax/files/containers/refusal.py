@@ -17,7 +17,6 @@ from typing import Any
 from ...common.errors import BadInput, cleaned
 
 LONGEST = 585  # characters of a refusal; with `pitp: error: ` before it 600
-_SHORTEST = 40  # of the problem, however long the remedy is
 FOLDER_FILE = "pitp.toml"
 
 
@@ -46,7 +45,7 @@ class Refused(BadInput):
     def ending(self, remedy: str) -> str:
         """Write the refusal in one line that ends with a remedy; the problem is shortened before it."""
         room = LONGEST - len(remedy) - len(self.named) - 2
-        why = self.why if len(self.why) <= room else self.why[: max(room - 3, _SHORTEST)].rstrip() + "..."
+        why = self.why if len(self.why) <= room else self.why[: max(room - 3, 40)].rstrip() + "..."
         aside = f" ({self.aside})" if self.aside and len(why) + len(self.aside) + 3 <= room else ""
         return f"{self.named}: {why}{aside}{remedy}"
 

@@ -7,16 +7,17 @@ import re
 import warnings
 from collections.abc import Sequence
 from datetime import date
+from functools import lru_cache
 
 import dateutil.parser
 import numpy as np
 
 _DAY = 86400.0
 _DATE = r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}|\d{1,2}[- ][A-Za-z]{3,9}[- ]\d{4}|[A-Za-z]{3,9} \d{1,2},? \d{4}"
-_ORDERS = ("dmy", "mdy", "ymd")
 _STAMP = re.compile(rf"(({_DATE})[T ]+)?\d{{1,2}}:\d{{2}}(:\d{{2}}([.,]\d+)?)?( ?([AP]M|Z|UTC|GMT|[+-]\d\d:?\d\d))?$")
 
 
+@lru_cache(1 << 12)
 def is_stamp(cell: str) -> bool:
     """Return whether a cell holds a time of day, with or without a date."""
     return bool(_STAMP.match(cell))
@@ -39,7 +40,7 @@ def seconds(stamps: Sequence[str]) -> np.ndarray:
     if not dated:
         return _hours(series)
     # every order of day, month and year that the numbers allow
-    read = [values for order in _ORDERS if (values := _dates(series, order)) is not None]
+    read = [values for order in ("dmy", "mdy", "ymd") if (values := _dates(series, order)) is not None]
     if not read:
         raise ValueError("no dates and hours")
     # at midnight a wrong order jumps by a month or a year
@@ -65,8 +66,7 @@ def _dates(series, order: str) -> np.ndarray | None:
             dates = pd.to_datetime(whole, format="ISO8601")
         except ValueError:  # hours such as 10:00:00 PM
             dates = pd.to_datetime(whole, format="mixed")
-    dates = dates.dt.tz_localize(None) if dates.dt.tz is not None else dates
-    return (dates - pd.Timestamp(0)).dt.total_seconds().to_numpy(np.float64)
+    return (dates.dt.tz_localize(None) - pd.Timestamp(0)).dt.total_seconds().to_numpy(np.float64)
 
 
 def _iso(text: str, order: str) -> str:

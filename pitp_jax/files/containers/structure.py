@@ -13,12 +13,7 @@ from ...common.errors import BadInput, cleaned
 from .table import Table
 
 _MOST_KEYS, _TURNS = 64, 8  # joints of a log; rows of each, at least
-_TRIED = 64  # columns that may name the joint
-_IN_ORDER = 0.9  # fraction of rows after which the same key follows
 _SMOOTHER = 2.0  # times smoother is a signal within its key than from row to row
-_BITS = (7, 9, 10, 11, 15, 31)  # of a register, that may be its sign
-_NEAR = 10.0  # usual steps from zero within which a motion passes it
-_CHANGES, _REGULAR = 24, 0.9  # changes of an output that show a refresh; fraction of them in its rhythm
 _FASTEST = 1.8  # rows a refresh, at least
 
 
@@ -34,7 +29,7 @@ def keys_in_turn(table: Table, chosen: Sequence[int], time: np.ndarray, signals:
     if any(len(s) != len(time) for s in signals) or not (_repeats(time) or any(map(_strides, signals))):
         return None
     named = [place for place, column in enumerate(table.columns) if column.name and place not in chosen]
-    for place in named[:_TRIED]:
+    for place in named[:64]:
         keys = _keys(table, place)
         if keys is None or len(keys) != len(time):
             continue
@@ -72,7 +67,8 @@ def _in_order(index: np.ndarray) -> bool:
     followers = []
     for k in np.unique(index):
         after, counts = np.unique(index[1:][index[:-1] == k], return_counts=True)
-        if not len(after) or counts.max() < _IN_ORDER * counts.sum():
+        # a few rows may be lost
+        if not len(after) or counts.max() < 0.9 * counts.sum():
             return False
         followers.append(int(after[np.argmax(counts)]))
     return len(set(followers)) == len(followers) and all(k != f for k, f in enumerate(followers))
@@ -80,7 +76,7 @@ def _in_order(index: np.ndarray) -> bool:
 
 def _repeats(time: np.ndarray) -> bool:
     """Return whether a third of the stamps repeat the stamp before, or more."""
-    return len(time) > 1 and float(np.mean(np.diff(time) == 0)) >= 1 / 3
+    return len(time) > 1 and 3 * int((time[1:] == time[:-1]).sum()) >= len(time) - 1
 
 
 def _strides(values: np.ndarray) -> bool:
@@ -93,9 +89,10 @@ def _strides(values: np.ndarray) -> bool:
 
 def _step(after: np.ndarray, before: np.ndarray) -> float:
     """Return the mean size of the steps between two arrays, of the finite ones; 0 without any."""
-    finite = np.isfinite(after) & np.isfinite(before)
-    with np.errstate(over="ignore"):  # numbers near the largest float are refused later
-        return float(np.abs(after[finite] - before[finite]).mean()) if finite.any() else 0.0
+    with np.errstate(over="ignore", invalid="ignore"):  # numbers near the largest float are refused later
+        steps = np.abs(after - before)
+    finite = np.isfinite(steps)
+    return float(steps[finite].mean()) if finite.any() else 0.0
 
 
 def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
@@ -105,10 +102,11 @@ def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
         values: as in the file, shape (T,).
         other: the sign bit of another column of this log, which a command that jumps across zero shares.
     """
-    seen = values[np.isfinite(values)]
-    if len(seen) < 2 or seen.min() < 0 or not np.array_equal(seen, np.round(seen)):
-        return None
-    for bit in _BITS:
+    for some in (values[:64], values):  # the first ones often suffice
+        seen = some[np.isfinite(some)]
+        if not np.array_equal(seen, np.abs(np.round(seen))):
+            return None
+    for bit in (7, 9, 10, 11, 15, 31):  # of registers
         sign = 2.0**bit
         high = seen >= sign
         # a sign bit is far above all magnitudes; otherwise it belongs to the number
@@ -119,7 +117,8 @@ def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
         steps = np.abs(np.diff(np.where(high, -magnitude, magnitude)))
         moving = np.delete(steps, at)
         usual = float(np.median(moving[moving > 0])) if moving.any() else 0.0
-        if bit == other or steps[at].max() <= _NEAR * max(usual, 1.0):
+        # a motion passes zero in a few usual steps
+        if bit == other or steps[at].max() <= 10 * max(usual, 1.0):
             return bit
     return None
 
@@ -143,19 +142,19 @@ def refreshed(values: np.ndarray) -> tuple[np.ndarray, float] | None:
         values: output, shape (T,).
     """
     steps = np.diff(values)
+    count = np.count_nonzero(steps) - 1
+    # too few to show a rhythm, or too many: the period is at most the mean gap
+    if count < 23 or len(steps) <= _FASTEST * count or not np.isfinite(values).all():
+        return None
     at = np.flatnonzero(steps) + 1
-    if len(at) < _CHANGES or not np.isfinite(values).all():
-        return None
     gaps = np.diff(at)
-    if gaps.mean() < _FASTEST:  # the period is at most the mean gap
-        return None
     sizes, period = np.abs(steps[at - 1]), float(np.median(gaps))
     turns = np.maximum(np.round(gaps / period), 1)
     for _ in range(3):  # the median of 6 and 7 rows is refined to 6.4
         period = float(gaps.sum() / turns.sum())
         turns = np.maximum(np.round(gaps / period), 1)
     regular = (turns == 1) & (np.abs(gaps - period) < 1)
-    if period < _FASTEST or regular.mean() < _REGULAR or np.median(sizes) < 2 * sizes.min():
+    if period < _FASTEST or regular.mean() < 0.9 or np.median(sizes) < 2 * sizes.min():
         return None
     count = np.append(0, np.cumsum(turns))
     period = float(np.polyfit(count, at, 1)[0])

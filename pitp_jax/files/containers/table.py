@@ -46,7 +46,7 @@ class Table:
         form: recognised format, for the summary (`text, separated by ';', decimal comma`).
         part: the sheet or group that it is, or empty.
         hint: the rate given in the file outside the columns (`Delta_X 0.001`), or empty.
-        blanks: empty lines among the rows; without a clock each is a lost sample.
+        blanks: function that counts the empty lines among the rows; without a clock each is a lost sample.
         texts: the values of a column as text, for splitting by it.
     """
 
@@ -57,7 +57,7 @@ class Table:
     form: str
     part: str = ""
     hint: str = ""
-    blanks: int = 0
+    blanks: Callable[[], int] = int
     texts: Callable[[int], np.ndarray] | None = None
 
 

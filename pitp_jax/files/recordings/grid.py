@@ -23,14 +23,6 @@ from ..containers.held import mean_of_held
 from .stamps import EVEN, FEW, Rows, average_stamps, evenness
 
 _HALF, _ROUNDING = 0.55, 1e-6  # of a sample: the limit, and the error of a line fitted to times that reach it
-_ROUNDED = 0.02  # of the rows: more losses, evenly spread, mean a clock with few digits instead
-_GAP = 0.1  # of a period of the fastest input
-_CROWDED = 0.4  # fraction of steps shorter than a third of the mean step from which stamps are those of packets
-_SOME = 8  # packets, at least
-_STATED = 0.03  # relative difference of a stated rate and the mean rate of packets
-_CONTRADICTED = np.log(10)  # even rows predict the signals so much better than the stamps that the stamps are wrong
-_DECIDED = 2.0  # times 1 / sqrt(rows): seven standard deviations of the evenness of noise
-_LATE = 0.01  # of the rows: stamps that are later than this do not determine the rate
 
 
 @dataclass(frozen=True)
@@ -100,9 +92,9 @@ def on_grid(rows: Rows, rate: float | None = None) -> Gridded:
     line, packets = _grid(rows), False
     if line is None and (line := _packets(rows)) is not None:
         packets = True
-        if rate is not None and abs(line.dt * rate - 1.0) <= _STATED:
+        if rate is not None and abs(line.dt * rate - 1.0) <= 0.03:
             line = replace(line, dt=1 / rate)
-        elif rate is None and line.off.max() > _LATE * len(rows.time):
+        elif rate is None and line.off.max() > 0.01 * len(rows.time):  # such late stamps do not determine the rate
             how = "repeats" if (np.diff(rows.time) == 0).any() else "comes in packets"
             raise BadInput(f"the time {how}; give --rate HZ")
     if line is None:
@@ -132,7 +124,7 @@ def _separate(rows: Rows) -> Rows:
     single = rows if (np.diff(rows.time) > 0).all() else average_stamps(rows)
     if 2 * len(single.time) < len(rows.time) or len(single.time) < min(MIN_SAMPLES, len(rows.time)):
         raise BadInput("most rows repeat the time of the row before; give --rate HZ")
-    if evenness(single) > _CONTRADICTED:
+    if evenness(single) > np.log(10):  # even rows predict the signals so much better that the stamps are wrong
         raise BadInput(
             "the time is not uniform, but input and output are smooth from row to row, "
             "as if sampled evenly; give --rate HZ"
@@ -145,26 +137,29 @@ def _grid(rows: Rows) -> _Line | None:
 
     Lost samples must explain the times better than no losses, because one wrong time would shift all later ones.
     """
-    time = rows.time
+    time, index = rows.time, np.arange(len(rows.time))
+    straight = _fitted(index, time)
+    if straight.off.max() <= TIME_TOLERANCE + _ROUNDING:  # one lost row is half a sample
+        return straight
     steps = np.diff(time)
-    index = np.arange(len(time))
     # equal times have no step
     usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
     # 2.0 usual steps: one sample was lost
     moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
     lost = len(steps) < moves.sum() < 2**53
-    trials = [index, np.append(0, np.cumsum(moves)).astype(np.int64)] if lost else [index]
-    # One row lost in the middle of a long record stays within half a sample of a straight line, so both are tried.
-    lines = [_fitted(trial, time) for trial in trials]
+    lines = [straight]
+    if lost:  # one row lost in the middle of a long record stays within half a sample of a straight line
+        lines.append(_fitted(np.append(0, np.cumsum(moves)).astype(np.int64), time))
     fits = [line for line in lines if line.off.max() <= _HALF + _ROUNDING]
     if not fits or np.mean(fits[0].off ** 2) > np.mean(lines[0].off ** 2):  # one wrong time shifted the rest
         return None
     # of two grids that fit, the one with the smaller residual
     best = min(fits, key=lambda line: float(np.mean(line.off**2)))
-    many = best.index[-1] - index[-1] > _ROUNDED * len(time)
+    # more losses, evenly spread, mean a clock with few digits instead
+    many = best.index[-1] - index[-1] > 0.02 * len(time)
     near = lines[0].off.max() * lines[0].dt <= (_HALF + 0.1) * usual
-    # A clock in whole ms at 700 Hz, or lost rows: the signals decide; noise alone does not differ by so much.
-    return lines[0] if many and near and evenness(rows) > -_DECIDED / np.sqrt(len(time)) else best
+    # A clock in whole ms at 700 Hz, or lost rows: the signals decide; 2 / sqrt(T) are seven deviations of noise alone.
+    return lines[0] if many and near and evenness(rows) > -2 / np.sqrt(len(time)) else best
 
 
 def _fitted(index: np.ndarray, time: np.ndarray) -> _Line:
@@ -184,9 +179,9 @@ def _packets(rows: Rows) -> _Line | None:
     if not mean > 0:
         return None
     long = steps[steps >= mean]
-    # pauses in a recording are few and differ in length
-    regular = len(long) >= _SOME and np.quantile(long, 0.9) < 3 * np.quantile(long, 0.1)
-    crowded = regular and (steps < mean / 3).mean() >= _CROWDED
+    # pauses in a recording are few and differ in length; packets crowd many stamps
+    regular = len(long) >= 8 and np.quantile(long, 0.9) < 3 * np.quantile(long, 0.1)
+    crowded = regular and (steps < mean / 3).mean() >= 0.4
     if evenness(rows) < (-EVEN if crowded else EVEN):
         return None
     # a lost packet leaves a gap of two periods
@@ -200,11 +195,11 @@ def _packets(rows: Rows) -> _Line | None:
 def _put(rows: Rows, line: _Line) -> Gridded:
     """Put rows on a fitted grid, split where too many samples in a row were lost."""
     time, voltage, displacement, index = rows.time, rows.voltage, rows.displacement, line.index
-    lost, jitter = np.diff(index) - 1, float(line.off.max())
-    if jitter <= TIME_TOLERANCE + _ROUNDING and not lost.any():
+    jitter = float(line.off.max())
+    if jitter <= TIME_TOLERANCE + _ROUNDING and index[-1] < len(index):
         return Gridded((Piece(time, voltage, displacement),), jitter, rows)
     # the input in a longer gap cannot be interpolated
-    cuts = np.flatnonzero(lost > _longest_gap(voltage, index, line.dt)) + 1
+    cuts = np.flatnonzero(np.diff(index) - 1 > _longest_gap(voltage, index, line.dt)) + 1
     parts, dropped = _parts(rows, cuts)
     pieces = [_piece(time[p], voltage[p], displacement[p], index[p], line, jitter) for p in parts]
     return Gridded(tuple(pieces), jitter, rows, dropped)
@@ -248,7 +243,7 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
         stretches = np.split(voltage, np.flatnonzero(np.diff(index) > 1) + 1)
     moving = [part for part in stretches if len(part) > 8 and np.ptp(part) > 1e-6 * np.abs(part).max()]
     fastest = force_band(moving, dt) if moving else 0.0
-    return min(_GAP / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
+    return min(0.1 / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
 
 
 def _piece(time, voltage, displacement, index, line: _Line, jitter) -> Piece:

@@ -19,13 +19,6 @@ import scipy
 from ...method.signal.initial_state import noise_std
 
 _FAR, _LONGEST_SPIKE = 10.0, 3  # times the steps around it, or the usual step; samples
-_SHORTEST_CLIP, _MOVES = 8, 0.02  # samples; fraction of the input's range by which it must move in them
-_NOISE_OF_STEP = 0.002  # noise of a good laser relative to the steps of its motion; rounding to six digits is below
-_NOISE_OF_QUANTUM, _CHANCE = 0.5, 1e-6  # noise that changes a rounded reading; odds of a run by chance in a record
-_JUMP, _JUMP_OF_RANGE = 5.0, 0.05  # of the usual step of the input, and of its range: a step of the input exceeds both
-_OFTEN = 0.1  # of a record: runs of one value that are more frequent are stiction, so the extreme value is not a limit
-_SWEPT = 0.5  # of the input's range, swept at one output value: no motion is so slow
-_FEWEST_LEVELS = 8  # a motion over fewer of them is the resolution of the sensor, and its extremes are no limits
 _FEWEST_VALUES = 32  # distinct ones; with fewer, a record is not a measured motion (two levels, a counter)
 
 
@@ -61,11 +54,12 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
         displacement: output, shape (T,); nan where missing.
         voltage: input, shape (T,).
     """
-    seen = np.flatnonzero(np.isfinite(displacement))
+    seen = np.isfinite(displacement)
     y = displacement[seen]
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
-    if len(moving) < _FEWEST_VALUES or has_few(y, _FEWEST_LEVELS - 1):
+    # over 7 levels the resolution of the sensor moves, and its extremes are not limits
+    if len(moving) < _FEWEST_VALUES or has_few(y, 7):
         return Masked(displacement)
     # only nonzero steps, because a quantised sensor mostly repeats its value
     step = float(np.median(moving))
@@ -73,11 +67,12 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     off_scale, jumps = _off_scale(y), _jumps(drive)
     # a response to a pulse looks like a spike, so only where the input did not step
     bad = off_scale | (_spikes(y, step) & ~jumps)
-    runs, clipped = _still_runs(y, drive), np.zeros(len(y), dtype=bool)
-    # stiction holds a machine at its turning points too, where its extreme value is not a limit
-    if sum(end - begin for begin, end in runs) <= _OFTEN * len(y):
-        clipped = _clipped(np.where(bad, np.nan, y), drive)
-    held = int((_standing(y, step, drive, runs) & ~jumps & ~bad).sum())
+    runs = _runs(y)
+    still, clipped = _still_runs(y, drive, runs), np.zeros(len(y), dtype=bool)
+    # frequent runs are stiction, which holds a machine at its turning points too: its extreme value is not a limit
+    if runs and sum(end - begin for begin, end in still) <= 0.1 * len(y):
+        clipped = _clipped(np.where(bad, np.nan, y), drive, runs)
+    held = int((_standing(y, step, drive, still) & ~jumps & ~bad).sum())
     # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
         far = float(y[off_scale][0]) if off_scale.any() else np.nan
@@ -85,7 +80,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     if not bad.any() and not clipped.any():
         return Masked(displacement, held=held)
     kept, off = displacement.copy(), y[bad]
-    kept[seen[bad | clipped]] = np.nan
+    kept[np.flatnonzero(seen)[bad | clipped]] = np.nan
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
     limit = y[clipped][0] if clipped.any() else np.nan
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
@@ -99,9 +94,9 @@ def has_few(values: np.ndarray, most: int) -> bool:
 def _jumps(drive: np.ndarray) -> np.ndarray:
     """Return the samples near a step of the input, where a fast output is a response and not a fault, shape (T,)."""
     steps = np.abs(np.diff(drive, prepend=drive[:1]))
-    far = steps > _JUMP_OF_RANGE * float(np.ptp(drive))
+    far = steps > 0.05 * float(np.ptp(drive))
     if far.any():
-        far &= steps > _JUMP * float(np.median(steps))
+        far &= steps > 5 * float(np.median(steps))
     return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
@@ -154,24 +149,25 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
     return bad
 
 
-def _runs(y: np.ndarray, least: int) -> list[tuple[int, int]]:
-    """Return the first and one past the last sample index of every stretch of at least `least` equal values."""
+def _runs(y: np.ndarray) -> list[tuple[int, int]]:
+    """Return the first and one past the last sample index of every stretch of equal values longer than a spike."""
     # where a run of equal values starts, and one past the last
     edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
-    long = np.flatnonzero(np.diff(edges) >= least)
+    long = np.flatnonzero(np.diff(edges) > _LONGEST_SPIKE)
     return [(int(edges[k]), int(edges[k + 1])) for k in long]
 
 
 def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:
     """Return whether the sensor's noise is negligible beside its nonzero steps or below its resolution."""
     noise = float(noise_std(y))
-    return noise <= _NOISE_OF_STEP * float(np.median(steps)) or noise < _NOISE_OF_QUANTUM * float(steps.min())
+    # 0.002: a good laser; rounding to six digits is below. Half a step: noise that changes a rounded reading.
+    return noise <= 0.002 * float(np.median(steps)) or noise < 0.5 * float(steps.min())
 
 
-def _still_runs(y: np.ndarray, drive: np.ndarray) -> list[tuple[int, int]]:
+def _still_runs(y: np.ndarray, drive: np.ndarray, runs: list[tuple[int, int]]) -> list[tuple[int, int]]:
     """Return stretches of one output value while the input moves, except those at its largest or smallest value."""
     ends = y.min(), y.max()
-    runs = [(b, e) for b, e in _runs(y, _LONGEST_SPIKE + 1) if b >= 3 and y[b] not in ends]
+    runs = [(b, e) for b, e in runs if b >= 3 and y[b] not in ends]
     noise = 6 * noise_std(drive) if runs else 0.0
     # a settled machine stands still until the input jumps at the end of a run, so the input must move early in it
     return [(b, e) for b, e in runs if np.ptp(drive[b : (b + e) // 2 + 1]) > noise]
@@ -188,18 +184,17 @@ def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[in
         return mask
     longest, swing = _longest_by_chance(y, mask), np.ptp(drive)
     for begin, end in runs:
-        sweeps = end - begin >= _SHORTEST_CLIP and np.ptp(drive[begin:end]) > _SWEPT * swing
+        sweeps = end - begin >= 8 and np.ptp(drive[begin:end]) > 0.5 * swing
         around = np.abs(np.diff(y[begin - 3 : begin])), np.abs(np.diff(y[end : end + 3]))
         jump = abs(y[min(end, len(y) - 1)] - y[begin]) > _FAR * max(step, *np.concatenate(around))
         mask[begin:end] = end - begin > longest or sweeps or jump
     return mask
 
 
-def _clipped(y: np.ndarray, voltage: np.ndarray) -> np.ndarray:
+def _clipped(y: np.ndarray, voltage: np.ndarray, runs: list[tuple[int, int]]) -> np.ndarray:
     """Return where the output is clipped: at its extreme value for longer than noise explains while the input moves."""
     low, high, swing = np.nanmin(y), np.nanmax(y), np.ptp(voltage)
-    runs = [(b, e) for b, e in _runs(y, _SHORTEST_CLIP // 2) if y[b] in (low, high)]
-    runs = [(b, e) for b, e in runs if np.ptp(voltage[b:e]) > _MOVES * swing]
+    runs = [(b, e) for b, e in runs if y[b] in (low, high) and np.ptp(voltage[b:e]) > 0.02 * swing]
     # without any noise it is a stop, or a slow motion
     longest = _longest_by_chance(y, _inside(runs, len(y))) if runs else np.inf
     return _inside([(b, e) for b, e in runs if e - b > longest], len(y))
@@ -226,4 +221,4 @@ def _longest_by_chance(y: np.ndarray, apart: np.ndarray) -> float:
     if not len(moving) or _is_quiet(seen, moving):
         return np.inf
     p = max(float(np.mean(steps == 0)), float(moving.min()) / (2 * np.sqrt(np.pi) * noise_std(seen)), 1e-4)
-    return np.inf if p > 0.5 else 1 + np.log(_CHANCE / len(y)) / np.log(p)
+    return np.inf if p > 0.5 else 1 + np.log(1e-6 / len(y)) / np.log(p)

@@ -16,10 +16,9 @@ from ...method.signal.record import Record
 from .outliers import has_few
 
 _HIGHEST = {"V": 1e5, "m": 1e3}  # base units: beyond them a unit is wrong
-_LONG, _EQUAL = 1.0, 0.9  # m; fraction of the samples
+_EQUAL = 0.9  # of the samples
 _SAME = 1e-9  # relative difference of equal numbers that were written with different digits
 _FEW = 3  # values of an output that only flickers
-_MONITOR = 10.0  # V: the range of a DAQ
 
 
 def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, columns, place) -> None:
@@ -38,7 +37,7 @@ def refuse_implausible(voltage: np.ndarray, displacement: np.ndarray, units, col
     problems = []
     for values, base, stem, column in zip((voltage, displacement), units, ("input", "output"), columns, strict=True):
         most = _HIGHEST.get(base, np.inf)
-        far = np.abs(np.nan_to_num(values)) > most
+        far = np.abs(values) > most
         if far.any() and not (stem == "output" and far.mean() < 0.01):  # a few are sensor faults, and masked
             at = int(np.argmax(far))
             problems.append(
@@ -60,7 +59,7 @@ def questions(voltage: np.ndarray, displacement: np.ndarray, unit: str) -> list[
     seen = np.isfinite(displacement)
     x, u = displacement[seen], voltage[seen]
     lines = []
-    if unit == "m" and np.ptp(x) > _LONG:
+    if unit == "m" and np.ptp(x) > 1:
         lines.append(f"moves by {np.ptp(x):.3g} m; check the unit of the output")
     near = _SAME * float(np.ptp(u))
     if near > 0 and all(np.allclose(x[:k], u[:k], rtol=_SAME, atol=near) for k in (64, None)):
@@ -78,7 +77,7 @@ def questions(voltage: np.ndarray, displacement: np.ndarray, unit: str) -> list[
 def monitor_warning(records: Sequence[Record]) -> str | None:
     """Return a question if the input, whose square drives the motion, stays within a monitor's 10 V; otherwise None."""
     highest = max(float(np.abs(record.voltage).max()) for record in records)
-    if not 0 < highest <= _MONITOR or any(base_unit(record.voltage_unit) != "V" for record in records):
+    if not 0 < highest <= 10.0 or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None
     return (
         f"the input never exceeds {highest:.3g} V; if it is the amplifier's monitor (1 V per kV), give --input-scale "

@@ -400,7 +400,8 @@ def clock_remarks(name: str, put: Gridded) -> list[Remark]:
     """List remarks on what was changed in the time of a record while reading."""
     rows, count = put.rows, len(put.rows.time)
     jitter = put.jitter if put.jitter > TIME_TOLERANCE and not put.packets else 0
-    rate = f"{1 / np.median(np.diff(put.pieces[0].time)):.4g} Hz"
+    first = put.pieces[0].time
+    rate = f"{(len(first) - 1) / np.ptp(first):.4g} Hz"
     steps = f"steps of {put.steps[0]:.3g} to {put.steps[1]:.3g} s, {rate}" if put.steps is not None else ""
     seen = [
         Remark("turns", name, rows.turns),

@@ -11,8 +11,6 @@ from ...common.errors import BadInput
 from ..containers.columns import Loaded
 from .stamps import continued
 
-_SLACK = 1e-3  # of a step: times such as 0.1 s are not exact
-
 
 def select_range(one: Loaded) -> Loaded:
     """Return the rows within the time range that the user states; all rows without one.
@@ -30,7 +28,8 @@ def select_range(one: Loaded) -> Loaded:
     if one.options.rate is not None and not (np.diff(time) >= 0).all():
         time = np.arange(len(time)) / one.options.rate
     time = time - time[np.isfinite(time)][0] if np.isfinite(time).any() else time
-    slack = _SLACK * float(np.nanmedian(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
+    # times such as 0.1 s are not exact
+    slack = 1e-3 * float(np.nanmedian(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
     begin, end = -np.inf if first is None else first, np.inf if last is None else last
     within = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
     outside = np.flatnonzero((time < begin - slack) | (time > end + slack))

@@ -17,8 +17,6 @@ FEW = 3.0  # usual steps: rows out of order by less are sorted, output interpola
 EVEN = np.log(2)  # even rows predict the signals twice as well as the stamps do
 # s: counters of 16, 31 and 32 bits in ms and us; seconds of the hour, the day and the week
 _TURNS = (*(2**bits * tick for bits in (16, 31, 32) for tick in (1e-3, 1e-6)), 3600.0, 86400.0, 604800.0)
-_COUNTS = 20  # a counter overflows after more steps than this
-_PAIRS = 0.95  # of the stamps: if fewer occur twice, they are not pairs of least and greatest
 
 
 @dataclass(frozen=True)
@@ -74,6 +72,8 @@ def usable_rows(
     time, turns = continued(time)
     rows = Rows(time, voltage, displacement, turns)
     steps = np.diff(time)
+    if (steps > 0).all():
+        return rows
     if (steps < 0).any():
         usual = max(float(np.median(steps)), float(np.ptp(time)) / (len(time) - 1))
         if steps.min() >= -FEW * usual and (steps < 0).mean() < 0.5:
@@ -84,7 +84,8 @@ def usable_rows(
             refuse_time(time, source, column, place)
     rows = _once(rows)
     sizes = np.diff(np.append(_firsts(rows.time), len(rows.time)))
-    if (sizes == 2).mean() >= _PAIRS and evenness(rows) < EVEN:
+    # pairs of least and greatest
+    if (sizes == 2).mean() >= 0.95 and evenness(rows) < EVEN:
         return average_stamps(rows)
     return rows
 
@@ -92,13 +93,13 @@ def usable_rows(
 def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
     """Add counter overflows to a clock's time (s); return the continuous time and the number of overflows."""
     steps = np.diff(time)
-    back, ahead = steps < 0, steps[steps > 0]
-    if not back.any() or not len(ahead):
+    back = steps < 0
+    if not back.any() or not len(ahead := steps[steps > 0]):
         return time, 0
     usual = max(2 * float(np.median(ahead)), float(np.quantile(ahead, 0.99)))
     added = np.zeros(len(steps))
     for turn in _TURNS:
-        if turn > _COUNTS * usual:
+        if turn > 20 * usual:
             added[back & (steps + turn >= 0) & (steps + turn <= usual)] = turn
     return time + np.append(0.0, np.cumsum(added)), int(np.count_nonzero(added))
 

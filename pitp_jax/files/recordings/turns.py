@@ -11,12 +11,6 @@ import math
 import numpy as np
 
 _SLACK = 1.01  # turns that values on one circle may span, because noise may exceed the seam
-_BESIDE, _USUAL = (
-    2.0,
-    10.0,
-)  # allowed deviation of a short step, in steps beside it, and in usual steps
-_NEARER = 0.5  # fraction of the input's distance from the output that may remain once its turns are removed
-_ROUND = 0.02  # relative distance from a round number of the counts measured in one turn
 _COUNTS = np.sort(np.concatenate([
     2.0 ** np.arange(9, 33), np.outer(10.0 ** np.arange(2, 7), [3.6, 4, 5, 10, 20, 25]).ravel()
 ]))  # of encoders in one turn  # fmt: skip
@@ -58,15 +52,15 @@ def _period(values: np.ndarray, unit: str) -> float | None:
     """Return the size of one turn in the values' unit (for counts: the round number nearest to the jumps), or None."""
     if unit == "rad":
         return 2 * math.pi
-    steps = np.diff(values)
-    if unit != "counts" or not steps.any():
+    if unit != "counts":
         return None
+    steps = np.diff(values)
     largest = np.abs(steps) > np.ptp(values) / 2
     if not largest.any():
         return None
     seen = float(np.median(np.abs(steps[largest] - _beside(np.where(largest, 0.0, steps))[0][largest])))
     nearest = float(_COUNTS[np.argmin(np.abs(_COUNTS - seen))])
-    return nearest if abs(nearest - seen) <= _ROUND * nearest else None
+    return nearest if abs(nearest - seen) <= 0.02 * nearest else None
 
 
 def _beside(steps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -85,7 +79,8 @@ def _turns(values: np.ndarray, period: float) -> np.ndarray:
     mean, size = _beside(short)
     usual = float(np.median(np.abs(short[short != 0]))) if short.any() else 0.0
     off = np.abs(short - mean)
-    return np.where((off <= _BESIDE * size + _USUAL * usual) & (off < np.abs(steps - mean)), turns, 0.0)
+    # a short step continues those beside it, up to a few usual steps
+    return np.where((off <= 2 * size + 10 * usual) & (off < np.abs(steps - mean)), turns, 0.0)
 
 
 def _unwrapped_input(
@@ -105,7 +100,7 @@ def _unwrapped_input(
     # unchanged, in either direction; whole turns between input and output only shift the offset
     before = min(sum(np.sum((some[part] - np.round(np.median(some))) ** 2) for part in late)
                  for some in (apart, reversed_apart))  # fmt: skip
-    if after > _NEARER**2 * before:
+    if after > 0.25 * before:  # squares: half of the distance remains
         return voltage, 0
     taken = np.repeat(turns - turns[0], np.diff(edges))
     return voltage + period * taken, round(float(np.abs(np.diff(taken)).sum()))

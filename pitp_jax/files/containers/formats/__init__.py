@@ -20,7 +20,6 @@ from ..guard import file_bytes, guarded
 from ..options import ReadOptions
 from ..table import Parts
 
-_FIRST = 1 << 10  # bytes that a reader is shown
 _FILES = [import_module(f".{module.name}", __name__) for module in pkgutil.iter_modules(__path__)]
 READERS: tuple[Any, ...] = tuple(sorted((m for m in _FILES if hasattr(m, "suffixes")), key=lambda m: len(m.suffixes)))
 SUFFIXES = tuple(dict.fromkeys(suffix for reader in reversed(READERS) for suffix in reader.suffixes))
@@ -36,8 +35,8 @@ _UNREAD = {  # suffix: what it is, and what to save instead
 
 def unread(name: str) -> str:
     """Return what a file is that is not read, by its suffix, and what to save instead."""
-    said = next((text for ends, text in _UNREAD.items() if name.lower().endswith(ends)), None)
-    return said or "not a recording file; convert or rename it"
+    said = (text for ends, text in _UNREAD.items() if name.lower().endswith(ends))
+    return next(said, "not a recording file; convert or rename it")
 
 
 def is_bag(path: Path) -> bool:
@@ -66,7 +65,7 @@ def open_parts(path: Path, options: ReadOptions) -> Parts:
     if not suffix:
         raise BadInput(f"{unread(path.name)} (known suffixes: {', '.join(sorted(SUFFIXES))})")
     readers = [reader for reader in READERS if suffix in reader.suffixes]
-    first = [file_bytes(file, _FIRST) for file in (path.iterdir() if path.is_dir() else [path])][0]
+    first = file_bytes(next(path.iterdir()) if path.is_dir() else path, 1 << 10)
     reader = next((reader for reader in readers if first.startswith(reader.begins)), None)
     if reader is None:
         raise BadInput(f"is not {readers[0].kind} as its suffix says; {readers[0].remedy}")

@@ -17,7 +17,6 @@ from .text import text_tables
 kind, remedy = "an Excel workbook", "save it as .xlsx or CSV"
 suffixes = (".xlsx",)
 begins = (b"PK",)
-_HEAD, _ROWS = 200, 1 << 20  # rows examined; the most a sheet has
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:
@@ -29,7 +28,7 @@ def tables(path: Path, options: ReadOptions) -> Parts:
 
     def tables_of(sheet: Any) -> list[Table]:
         sheet.reset_dimensions()  # the size that a sheet states is often wrong
-        rows = list(islice(sheet.iter_rows(values_only=True), _ROWS))
+        rows = list(islice(sheet.iter_rows(values_only=True), 1 << 20))  # as many as a sheet has
         return _sheet(path, rows, cleaned(sheet.title), options)
 
     try:
@@ -48,7 +47,7 @@ def _sheet(path: Path, rows: list[tuple], title: str, options: ReadOptions) -> l
     """Return every way to read the rows of one sheet as a table: as those of a text separated by tabs."""
     filled = [row for row in rows if any(cell is not None for cell in row)]
     check_columns(max(map(len, filled), default=0))
-    last = [cell for row in filled[-_HEAD:] for cell in row if cell is not None]
+    last = [cell for row in filled[-200:] for cell in row if cell is not None]
     # most numbers are stored as texts with a decimal comma
     commas = 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in last) > len(last)
     decimal = options.decimal or ("," if commas else ".")

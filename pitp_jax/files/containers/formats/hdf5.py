@@ -15,7 +15,6 @@ from ..table import Parts, Stored, array_table
 kind, remedy = "an HDF5 file", "save it again"
 suffixes = (".h5", ".hdf5")
 begins = (b"",)  # a block of the user's own may come first, and the library refuses other files
-_DEEPEST = 2  # groups below one of the root that are opened; a hard link may form a loop
 
 
 def tables(path: Path, options: ReadOptions, form: str = "HDF5 file") -> Parts:
@@ -57,7 +56,7 @@ def _datasets(group: Any, above: str = "") -> dict[str, list[str]]:
         kind, place = _kind(group, name), f"{above}/{name}".lstrip("/")
         if kind is h5py.Dataset:
             groups[above].append(place)
-        elif kind is h5py.Group and above.count("/") < _DEEPEST:
+        elif kind is h5py.Group and above.count("/") < 2:  # a hard link may form a loop
             groups |= _datasets(group[name], place)
         # checked while walking, to stop at a hostile tree
         check_columns(sum(map(len, groups.values())))

@@ -25,8 +25,7 @@ from . import hdf5
 kind, remedy = "a MATLAB file", "save it from MATLAB with -v7 or -v7.3"
 suffixes = (".mat",)
 begins = (b"MATLAB", b"\x89HDF")
-_COMPRESSED, _MATRIX, _CONTAINERS = 15, 14, (1, 2, 3)  # element types; classes cell, struct, object
-_DEEPEST, _ELEMENTS = 4, 20_000  # levels of cells and structs; elements of a file, nested ones included
+_MATRIX = 14  # type of an element
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:
@@ -103,14 +102,14 @@ def _flat(data: bytes) -> io.BytesIO:
     """
     # the mark MI in the byte order of the writer's machine
     order = "<" if data[126:128] == b"IM" else ">"
-    pieces, at, unfolded, budget = [data[:128]], 128, 0, [_ELEMENTS]
+    pieces, at, unfolded, budget = [data[:128]], 128, 0, [20_000]
     while at + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, at)
         if size > len(data) - at - 8:
             raise BadInput("the MATLAB file ends too early (truncated); copy the file again")
         element = data[at : at + 8 + size]
         at += 8 + size
-        if kind == _COMPRESSED:
+        if kind == 15:  # a compressed element
             try:
                 element = inflate(element[8:], size=len(data), begun=unfolded)
             except zlib.error as error:
@@ -124,11 +123,11 @@ def _flat(data: bytes) -> io.BytesIO:
 def _check_nesting(element: memoryview, order: str, budget: list[int], depth: int = 0) -> None:
     """Refuse deeply nested cells and structs, because SciPy's reader calls itself for each level."""
     budget[0] -= 1
-    if depth > _DEEPEST or budget[0] < 0:
+    if depth > 4 or budget[0] < 0:
         raise BadInput("its variables are nested too deeply or have too many parts; store one vector per variable")
     if len(element) < 24 or struct.unpack_from(f"{order}I", element)[0] != _MATRIX:
         return
-    if struct.unpack_from(f"{order}I", element, 16)[0] & 0xFF not in _CONTAINERS:
+    if struct.unpack_from(f"{order}I", element, 16)[0] & 0xFF not in (1, 2, 3):  # cell, struct, object
         return
     at = 8
     while at + 8 <= len(element):

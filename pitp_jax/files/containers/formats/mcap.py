@@ -14,7 +14,7 @@ import numpy as np
 
 from ....common.errors import cleaned
 from ....method.signal.checks import sample
-from ..guard import check_columns, check_unfolded
+from ..guard import MAX_ENTRIES, check_columns, check_unfolded
 from ..options import ReadOptions
 from ..table import Column, Parts, Table
 
@@ -22,7 +22,6 @@ kind, remedy = "a robot log", "record it again"
 suffixes = (".mcap",)
 begins = (b"",)  # a folder has no first bytes, and the library refuses other files
 _OWN_TOPICS = ("/rosout", "/parameter_events", "/clock", "/tf", "/tf_static")  # ROS's own, not signals of a machine
-_LONGEST = 256  # entries of an array that become columns; images and scans are longer
 _UNITS = (  # of a field, by ROS's conventions (REP 103) and its standard messages
     (r"\.positions?\[\d+\]$", "rad"), (r"\.velocit(y|ies)\[\d+\]$", "rad/s"), (r"\.efforts?\[\d+\]$", "N m"),
     (r"\.(position|translation)\.[xyz]$", "m"), (r"\.linear\.[xyz]$", "m/s"), (r"\.force\.[xyz]$", "N"),
@@ -67,7 +66,7 @@ def _stamp(message: Any) -> float:
 def _numbers(value: Any, place: str) -> Iterator[tuple[str, float]]:
     """Yield every number in a message with its path; headers, layouts and long arrays are skipped."""
     if isinstance(value, (np.ndarray, list)):
-        for k, entry in enumerate(value if len(value) <= _LONGEST else ()):
+        for k, entry in enumerate(value if len(value) <= MAX_ENTRIES else ()):
             yield from _numbers(entry, f"{place}[{k}]")
     elif is_dataclass(value):
         for field in fields(value):

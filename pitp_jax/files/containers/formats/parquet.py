@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..guard import check_count, check_unfolded
+from ..guard import MAX_ENTRIES, check_count, check_unfolded
 from ..options import ReadOptions
 from ..table import Parts, Stored, array_table
 
@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 kind, remedy = "a Parquet file", "write it again"
 suffixes = (".parquet",)
 begins = (b"PAR1",)
-_LONGEST = 256  # entries of a list that become columns; images and scans are longer
 
 
 def tables(path: Path, options: ReadOptions) -> Parts:
@@ -57,7 +56,7 @@ def _entries(field: Any, column: Callable[[str], "pd.Series"]) -> int:
     if not listed or not (types.is_integer(field.type.value_type) or types.is_floating(field.type.value_type)):
         return 0
     count = max((len(row) for row in column(field.name) if row is not None), default=0)
-    return count if count <= _LONGEST else 0
+    return count if count <= MAX_ENTRIES else 0
 
 
 def _plain(column: "pd.Series", entry: int | None = None) -> np.ndarray:

@@ -11,9 +11,6 @@ from ....common.errors import BadInput, cleaned
 from ..header import Layout, trimmed
 from ..table import Column
 
-_LABVIEW, _END = "labview measurement", "***end_of_header***"
-_NUMBER = re.compile(r"[\d.,-]+")
-
 
 def labview(lines: Sequence[str]) -> Layout | None:
     """Return the layout of a LabVIEW measurement file (.lvm); None for any other text.
@@ -21,18 +18,18 @@ def labview(lines: Sequence[str]) -> Layout | None:
     Raises:
         BadInput: no names below its last header.
     """
-    if not lines[0].lower().startswith(_LABVIEW):
+    if not lines[0].lower().startswith("labview measurement"):
         return None
     separator = "," if any(line.startswith("Separator,Comma") for line in lines[:12]) else "\t"
     rows = [[cell.strip() for cell in line.split(separator)] for line in lines]
     said = {row[0].lower(): row[1:] for row in rows if len(row) > 1}
     clock, decimal, what = (said.get(key, [""])[0] for key in ("x_columns", "decimal_separator", "x_dimension"))
     # one header for the file and one for every segment: names follow the last
-    first = 1 + max((k for k, row in enumerate(rows) if row[0].lower() == _END), default=len(rows))
+    first = 1 + max((k for k, row in enumerate(rows) if row[0].lower() == "***end_of_header***"), default=len(rows))
     if len(rows) <= first + 1:
         raise BadInput("a LabVIEW file without a table below its header; write it again")
     names = [name for name in trimmed(rows[first]) if name.lower() != "comment"]
-    if all(_NUMBER.fullmatch(name) for name in names[1:]):  # X_Columns and names omitted
+    if all(re.fullmatch(r"[\d.,-]+", name) for name in names[1:]):  # X_Columns and names omitted
         names = ["X_Value", *(f"channel {k}" for k in range(1, len(trimmed(rows[first]))))]
     else:
         first += 1

@@ -11,6 +11,7 @@ import io
 import re
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import islice
@@ -35,7 +36,6 @@ begins = (b"",)  # any bytes may be a text, until it is read
 COMMENTS = ("#", "%", "//", "!")
 _ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
 _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
-_CONTROL = bytes(set(range(32)) - {9, 10, 12, 13})  # without tab, line feed, form feed and carriage return
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not comments; bytes of one line
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
@@ -80,10 +80,11 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
     def read_as(encoding: str) -> list[Table]:
         lines, made = [data[a:b].decode(encoding) for a, b, _ in spans], []
         for layout in _layouts(lines, [n for _, _, n in spans], options):
-            body = _rows_only(data[spans[layout.first][0] :], layout)
+            start = spans[layout.first][0]
+            body = _body(data, start, layout)
             if options.decimal is None:
                 layout = _with_decimal(body, layout)
-            table = _table(path, read, data, spans[layout.first][0], body, layout, encoding, form)
+            table = _table(path, read, data[:start], body, layout, encoding, form)
             made.append(replace(table, part=part))
         return made
 
@@ -132,26 +133,29 @@ def _with_decimal(body: bytes, layout: Layout) -> Layout:
     return layout
 
 
-def _table(path: Path, read, data: bytes, start: int, body: bytes, layout: Layout, encoding: str, form: str) -> Table:
-    above = data[:start].count(b"\n")
-    check_count(body.count(b"\n"))
+def _table(path: Path, read, head: bytes, body: bytes, layout: Layout, encoding: str, form: str) -> Table:
+    above = head.count(b"\n")
+    check_count(_count(body, "\n"))
 
     def place(sample: int) -> str:
         return f"sample {sample} (line {_line_of(read(), sample, above)})"
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        values = _parse(body, layout, places, encoding)
-        return values if values is not None else _rows(body, layout, places, encoding, place)
+        rows, values = body, _parse(body, layout, places, encoding)
+        if values is None and (rows := _filled(body)) is not body:
+            values = _parse(rows, layout, places, encoding)
+        return values if values is not None else _rows(rows, layout, places, encoding, place)
 
     def texts(k: int) -> np.ndarray:
-        return np.array([row[k] if k < len(row) else "" for row in _split(body, layout, encoding)])
+        return np.array([row[k] if k < len(row) else "" for row in _split(_filled(body), layout, encoding)])
+
+    def blanks() -> int:
+        return read()[len(head) :].strip(b"\n").count(b"\n\n")
 
     parts = [form or f"text separated by {_SEPARATORS.get(layout.separator, repr(layout.separator))}"]
     parts += ["decimal comma"] if layout.decimal == "," else []
     parts += [encoding] if encoding not in ("utf-8", "ascii") else []
-    parts += ["a date above the table ignored"] if _DATE.search(data[:start]) else []
-    # looked for line by line only where a row could have been left out
-    blanks = data[start:].strip(b"\n").count(b"\n\n") if len(body) < len(data) - start - 1 else 0
+    parts += ["a date above the table ignored"] if _DATE.search(head) else []
     words = ", ".join((*parts, *layout.notes))
     return Table(path, layout.columns, load, place, words, hint=layout.hint, blanks=blanks, texts=texts)
 
@@ -174,13 +178,16 @@ def plain_text(path: Path) -> bytes:
     if b"\r" in data:
         data = data.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
     data = _unbroken(data.rstrip(b"\x1a\x00"))  # the end of a DOS file
-    if _LIST.search(data[:_HEAD]):
+    if b"[" in data and _LIST.search(data[:_HEAD]):
         data = _unlisted(data)
     if _ARROW.match(data):  # a serial monitor's prefix of every line
         data = data.replace(b" -> ", b",")
-    if len(data.translate(None, _CONTROL)) != len(data):
-        bad = next(k for k, line in enumerate(data.split(b"\n"), 1) if line.translate(None, _CONTROL) != line)
-        raise BadInput(f"line {bad}: control characters in a text file; save it as CSV")
+    codes = np.frombuffer(data, dtype=np.uint8)
+    # below a tab, a vertical tab, or 14 to 31, because differences wrap around
+    if codes.min(initial=9) < 9 or b"\v" in data or (codes - 14).min(initial=18) < 18:
+        bad = next(re.finditer(rb"[^\t\n\f -\xff]", data)).start()
+        line = 1 + data.count(b"\n", 0, bad)
+        raise BadInput(f"line {line}: control characters in a text file; save it as CSV")
     return data
 
 
@@ -220,22 +227,18 @@ def _unbroken(data: bytes) -> bytes:
 
 def _encodings(head: bytes, options: ReadOptions) -> list[str]:
     """Return possible encodings of the first lines: UTF-8 if it fits, otherwise all others that fit."""
+
+    def fits(encoding: str) -> bool:
+        with suppress(UnicodeError):
+            return head.decode(encoding) is not None
+        return False
+
     if options.encoding is not None:
-        try:
-            head.decode(options.encoding)
-        except UnicodeError:
-            raise BadInput(f"is not encoded as {options.encoding}; give another --encoding") from None
+        if not fits(options.encoding):
+            raise BadInput(f"is not encoded as {options.encoding}; give another --encoding")
         return [options.encoding]
-    fitting = []
-    for encoding in ("utf-8", *_ENCODINGS):
-        try:
-            head.decode(encoding)
-        except UnicodeError:
-            continue
-        if encoding == "utf-8":
-            return [encoding]
-        fitting.append(encoding)
-    return fitting if len(fitting) == 1 else fitting[:-1]  # Latin-1 accepts any bytes
+    fitting = ["utf-8"] if fits("utf-8") else list(filter(fits, _ENCODINGS))
+    return fitting[:-1] or fitting  # Latin-1 accepts any bytes
 
 
 def _first_lines(data: bytes) -> list[tuple[int, int, int]]:
@@ -391,16 +394,28 @@ def _is_row(line: bytes) -> bool:
     return bool(line.strip()) and not line.startswith(_MARKS)
 
 
-def _rows_only(body: bytes, layout: Layout) -> bytes:
-    """Drop comment lines, blank lines, and empty rows at the end of the text."""
-    # one pass over the lines: a search for each mark took a ninth of the reading of a long file
+def _count(text: bytes, mark: str) -> int:
+    """Return how often a character occurs; faster than `bytes.count`, which stops at each."""
+    return int(np.count_nonzero(np.frombuffer(text, dtype=np.uint8) == ord(mark)))
+
+
+def _filled(body: bytes) -> bytes:
+    """Drop comment lines and blank lines."""
     codes = np.frombuffer(body, dtype=np.uint8)
     if np.isin(codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1], _NO_ROW).any():
-        body = b"\n".join(line for line in body.split(b"\n") if _is_row(line))
+        return b"\n".join(line for line in body.split(b"\n") if _is_row(line))
+    return body
+
+
+def _body(data: bytes, start: int, layout: Layout) -> bytes:
+    """Return the rows of numbers without comment lines and without empty rows at their end; blank lines may remain."""
+    body, empty = data[start : len(data) - data.endswith(b"\n")], b"\n \t\f" + layout.separator.encode()
+    if any(mark[:1] in body for mark in _MARKS):
+        body = _filled(body)
+    if body[body.rfind(b"\n") + 1 :].strip(empty):
+        return body
     # rows of separators alone, which a spreadsheet leaves below its data
-    kept = body.rstrip(b"\n \t\f" + layout.separator.encode())
-    end = body.find(b"\n", len(kept))  # an empty last cell belongs to its row
-    return body if end < 0 else body[:end]
+    return body[: body.find(b"\n", len(body.rstrip(empty)))]  # an empty last cell belongs to its row
 
 
 def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
@@ -422,7 +437,7 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
         )  # fmt: skip
         last = frame.get(layout.width - 1)
         # the C parser fills short rows silently: none is short where the last column is whole
-        marks = body.count(layout.separator.encode()) == len(frame) * (layout.width - 1)
+        marks = _count(body, layout.separator) == len(frame) * (layout.width - 1)
         if not (last is not None and marks and last.notna().all()) and not _rectangular(body, layout):
             return None
         return [seconds(list(frame[k])) if forms[k] == "stamp" else frame[k].to_numpy(np.float64) for k in places]
@@ -497,6 +512,6 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, place: Callable[[in
                 f"column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
                 "number (leave a missing output empty)"
             )
-    plain = str.maketrans("Dd,", "Ee.") if layout.decimal == "," else str.maketrans("Dd", "Ee")  # Fortran's 1.0D-3
+    plain = str.maketrans("Dd" + layout.decimal, "Ee.")  # Fortran's 1.0D-3
     point = (cell.translate(plain) for cell in cells)
     return np.array([float("nan") if cell.lower() in MISSING else float(cell) for cell in point])
