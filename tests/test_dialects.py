@@ -132,6 +132,18 @@ def test_comments_among_the_rows_are_left_out(tmp_path):
     assert "line 61" in refused(tmp_path / "a.csv")
 
 
+@pytest.mark.parametrize("others", [[""], ["  "], ["# on again"], ["# 1,2,3,4"], ["", "// 1,2,3,4", ""]])
+def test_rows_without_numbers_are_left_out_beside_words(tmp_path, others):
+    rows = [f"go,{a},{b},{c}" for a, b, c in zip(TIME, VOLTAGE, OUTPUT, strict=True)]
+    lines = ["state,time_s,voltage_V,displacement_mm", *rows[:30], *others, *rows[30:], ",,,", ",,,", *others]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    (record,) = read(tmp_path / "a.csv")
+    np.testing.assert_array_equal(record.voltage, VOLTAGE)
+    lines[50] += ",9"
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    assert "line 51): 5 cells, but 4" in refused(tmp_path / "a.csv")
+
+
 def test_a_sheet_is_found_among_others(tmp_path):
     openpyxl = pytest.importorskip("openpyxl")
     book = openpyxl.Workbook()

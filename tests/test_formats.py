@@ -91,6 +91,18 @@ def test_npz_with_objects_is_refused_and_not_unpickled(tmp_path):
     assert not (tmp_path / "ran").exists()
 
 
+def test_each_control_character_is_refused_with_its_line(tmp_path):
+    lines = [f"{line},ok" for line in text(columns()).splitlines()]
+    for code in set(range(32)) - set(b"\t\n\f\r"):
+        noted = [*lines[:40], lines[40] + chr(code), *lines[41:]]
+        (tmp_path / "a.csv").write_text("\n".join(noted))
+        assert "line 41: control characters" in refused(tmp_path / "a.csv")
+    (tmp_path / "a.csv").write_text(
+        "\n".join([*lines[:40], lines[40] + "\t\f\x7f\u00fc", *lines[41:]]), encoding="utf-8"
+    )
+    assert read(tmp_path / "a.csv")[0].samples == len(lines) - 1
+
+
 def test_empty_matlab73_variable_is_refused(tmp_path):
     save_mat73(tmp_path / "a.mat", columns(displacement_mm=np.array([0, 0], np.uint64)))
     with h5py.File(tmp_path / "a.mat", "r+") as file:
