@@ -18,8 +18,8 @@ CEILINGS = {
     "method/simulate": 18849, "method/fit": 7470, "method/identify": 25081, "method/train": 15470,
     "method/invert": 19009, "method/diagnose": 50528, "method/adapt": 4807, "files/containers": 31885,
     "files/recordings": 12803, "files/model_file": 5660, "files/export": 11390, "files/mjcf": 8864,
-    "application/commands": 18426, "application/pages": 10970, "application/compare": 10619, "application/plan": 9430,
-    "application/check": 7966, "application/against": 3422, "application/demo": 4014, "application/plant": 2455,
+    "application/commands": 18426, "application/pages": 10970, "application/compare": 10619, "application/plan": 9335,
+    "application/check": 7850, "application/against": 3422, "application/demo": 4014, "application/plant": 2455,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
 OPENS, CLOSES = (getattr(tokenize, f"FSTRING_{end}", None) for end in ("START", "END"))  # since Python 3.12

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...common.numbers import number
+from ...common.numbers import finite, number
 from ...common.shown import Shown
 from ...common.units import base_unit, from_base
 from ...files.recordings.plausible import monitor_warning
@@ -113,10 +113,11 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     cover = coverage(used, input_map, resonance) if used and resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
     advice = set_advice(rows, used, cover, repeats, cycles(used), fitted, turned)
-    monitor = monitor_warning(used) if used and input_map == "square" else None
     # added to the others, so that one bad file does not hide the good ones
     lost = {name: CheckedRecord(problems=(why,)) for name, why in refused.items()}
-    lines = [monitor] if monitor else []
+    lines = []
+    if used and input_map == "square" and (monitor := monitor_warning(used)):
+        lines.append(monitor)
     if start:
         unit = used[0].voltage_unit
         lines.append(
@@ -169,15 +170,15 @@ def _beside(record: Record, own: CheckedRecord, fitted: SetFit | None) -> Checke
     harmonic = 2 if fitted.input_map == "square" else 1
     top = harmonic * own.band_hz[1] if own.band_hz else 0.0
     coloured = coloured_noise(row.error, row.seen, record.dt * row.step, top, fitted.natural_hz)
-    zero, stderr = (float(from_base(v, unit)) for v in (row.beginning.zero, row.beginning.stderr))
-    return replace(
-        own, begins=row.beginning.begins, zero=zero if np.isfinite(zero) else None,
-        zero_stderr=stderr if np.isfinite(stderr) else None,  # infinite: the offset was not measured
-        direction=int(row.beginning.direction) if row.tells else None,
-        noise=own.noise if coloured is None else float(from_base(coloured, unit)),
-        noise_colour="white" if coloured is None else "coloured",
-        problems=(*own.problems, row.strange) if row.strange else own.problems,
-    )  # fmt: skip
+    noise, colour = own.noise, "white"
+    if coloured is not None:
+        noise, colour = float(from_base(coloured, unit)), "coloured"
+    # an infinite error: the offset was not measured
+    zero, stderr = (finite(from_base(v, unit)) for v in (row.beginning.zero, row.beginning.stderr))
+    direction = int(row.beginning.direction) if row.tells else None
+    problems = (*own.problems, *filter(None, [row.strange]))
+    return replace(own, begins=row.beginning.begins, zero=zero, zero_stderr=stderr, direction=direction, noise=noise,
+                   noise_colour=colour, problems=problems)  # fmt: skip
 
 
 def _turned(rows: Mapping[str, CheckedRecord]) -> list[str]:

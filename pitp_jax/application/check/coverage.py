@@ -11,14 +11,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...common.numbers import short
 from ...common.units import from_base
 from ...method.model.input_map import INPUT_MAPS
 from ...method.signal.record import Record
 
-_PERIODS, _ENERGY, _LEAK = 16, 0.8, 0.3  # resonance periods in a window; its energy in lines; less is leakage
-_STILL = 0.02  # of the largest amplitude: a window below it is not excited
-_RATIO, _BELOW, _ABOVE = 1.5, 1 / 3, 1.5  # ratio of the ends of a gap; its range, in resonance frequencies
-_HALF = 0.5  # of the largest amplitude: a weaker input leaves the gap open
+_BELOW, _ABOVE = 1 / 3, 1.5  # resonance frequencies: the range in which gaps count
 
 
 @dataclass(frozen=True)
@@ -48,27 +46,22 @@ class Coverage:
             by = " (frequencies of the force; an input without bias runs at half of them)" if self.doubled else ""
             one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
             lines.append(
-                f"nothing between {_two(low)} and {_two(high)} Hz, near the resonance at {_two(f0)} Hz, exceeds half "
-                f"the swing ({self._swing(half)}); record a slow sweep, or sines at {_two(one)} and {_two(other)} Hz "
-                f"of {self._swing(1.6 * half)}{by}"
+                f"nothing between {short(low)} and {short(high)} Hz, near the resonance at {short(f0)} Hz, exceeds "
+                f"half the swing ({self._swing(half)}); record a slow sweep, or sines at {short(one)} and "
+                f"{short(other)} Hz of {self._swing(1.6 * half)}{by}"
             )
         # The amplitude matters most here, because the motion is largest.
         near = self.points[(self.points[:, 0] > _BELOW * f0) & (self.points[:, 0] < _ABOVE * f0), 1]
         if len(near) and near.min() > 0.7 * near.max():
             lines.append(
-                f"all inputs near the resonance at {_two(f0)} Hz have almost the same amplitude "
+                f"all inputs near the resonance at {short(f0)} Hz have almost the same amplitude "
                 f"({self._swing(near.max())}), so effects of the amplitude cannot be learned; add some of "
                 f"{self._swing(near.max() / 2)}"
             )
         return lines
 
     def _swing(self, amplitude: float) -> str:
-        return f"{_two(2 * from_base(float(amplitude), self.unit))} {self.unit} from peak to peak"
-
-
-def _two(value: float) -> str:
-    """Write a number with two digits, or as an integer from 100 on."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"
+        return f"{short(2 * from_base(float(amplitude), self.unit))} {self.unit} from peak to peak"
 
 
 def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Coverage | None:
@@ -83,15 +76,15 @@ def coverage(records: Sequence[Record], input_map: str, resonance: float) -> Cov
     if not len(points):
         return None
     largest = float(points[:, 1].max())
-    points = points[points[:, 1] > _STILL * largest]
+    points = points[points[:, 1] > 0.02 * largest]  # a weaker window is not excited
     # without bias the force has twice the input's frequency, and nothing at that frequency itself
     doubled = input_map == "square" and all(abs(r.voltage.mean()) < 0.1 * r.voltage.std() for r in records)
-    strong = np.unique(points[points[:, 1] >= _HALF * largest, 0])
+    strong = np.unique(points[points[:, 1] >= largest / 2, 0])
     return Coverage(resonance, points, tuple(_gaps(strong, resonance)), largest, doubled, records[0].voltage_unit)
 
 
 def _points(record: Record, input_map: str, resonance: float) -> list[tuple[float, float, float]]:
-    size = int(min(max(_PERIODS / (resonance * record.dt), 64), record.samples))
+    size = int(min(max(16 / (resonance * record.dt), 64), record.samples))
     force, window, excited = INPUT_MAPS[input_map]().force(record.voltage), np.hanning(size), []
     # windows overlap by half, because the Hann window weights their ends little
     for first in range(0, record.samples - size + 1, max(size // 2, 1)):
@@ -102,10 +95,10 @@ def _points(record: Record, input_map: str, resonance: float) -> list[tuple[floa
             continue
         order = np.argsort(power)[::-1]
         # as few lines as hold most of the energy
-        many = int(np.searchsorted(np.cumsum(power[order]), _ENERGY * power.sum())) + 1
+        many = int(np.searchsorted(np.cumsum(power[order]), 0.8 * power.sum())) + 1
         # a line much weaker than its neighbour is leakage of that one
         beside = np.maximum(np.append(power[1:], 0.0), np.append(0.0, power[:-1]))
-        lines = [k for k in order[:many] if power[k] >= _LEAK * beside[k]]
+        lines = [k for k in order[:many] if power[k] >= 0.3 * beside[k]]
         excited += [((k + 1) / (size * record.dt), amplitude, size * record.dt / 2 / len(lines)) for k in lines]
     return excited
 
@@ -115,4 +108,4 @@ def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
     pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
-    return [(float(a), float(b)) for a, b in pairs if b > _RATIO * a]
+    return [(float(a), float(b)) for a, b in pairs if b > 1.5 * a]

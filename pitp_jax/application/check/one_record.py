@@ -21,14 +21,7 @@ from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.initial_state import in_motion, noise_std
 from ...method.signal.record import Record
 
-_FILE_FACTS = ("file", "time", "input", "output", "lost", "clipped")
-_TAIL = 0.01  # fraction of the input's energy below its band, and above
 _FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
-_ABOVE_DRIVE, _ABOVE_RESONANCE = 4.0, 6.0  # times; above them the spectrum is sensor noise
-_COLOURED, _FEWEST_BANDS = 4.0, 8  # density of the slowest bands over the fastest; bands needed to tell
-_UNIT = 300.0  # times: more than a resonance and its roll-off change one actuator's range
-_MANY = 0.01  # fraction of the samples: more outliers are more than a few spikes
-_MUCH = 0.05  # fraction of missing samples that is reported
 
 
 @dataclass(frozen=True)
@@ -93,14 +86,15 @@ def facts(record: Record) -> CheckedRecord:
     noise = noise_std(record.displacement)
     values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
     problems = []
-    if outliers > _MANY * record.samples:
+    if outliers > 0.01 * record.samples:  # more than a few spikes
         problems.append(f"{Remark('outliers', record.name, outliers)}: check the sensor")
     if clipped:
         problems.append(f"{Remark('clipped', record.name, clipped)}: move the sensor or widen its range")
     problems += questions(record.voltage, record.displacement, base_unit(unit)) + drive_problems(record, noise, band)
     return CheckedRecord(
         samples=record.samples, rate_hz=1 / record.dt,
-        recognised={key: seen[key] for key in _FILE_FACTS if key in seen}, unit=unit,
+        recognised={key: seen[key] for key in ("file", "time", "input", "output", "lost", "clipped") if key in seen},
+        unit=unit,
         noise=float(from_base(noise, unit)), missing=record.missing, outliers=outliers, jitter=jitter,
         excitation=kind(record) if changes else "none", band_hz=band,
         repaired=tuple(Remark(what, record.name, value) for what, value in values.items() if value),
@@ -111,7 +105,7 @@ def facts(record: Record) -> CheckedRecord:
 def drive_problems(record: Record, noise: float, band: tuple[float, float] | None) -> list[str]:
     """Return problems that the reader does not report: missing samples, no excitation, no motion, coarse sampling."""
     problems = []
-    if record.missing > _MUCH * record.samples:
+    if record.missing > 0.05 * record.samples:
         problems.append(f"{100 * record.missing / record.samples:.0f} % of its output is missing")
     if band is None:
         problems.append("its input never changes, so it shows only noise and drift; leave it out")
@@ -136,10 +130,11 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
         band = drive_band(r) if np.ptp(r.voltage) > 0 else None
         lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
         reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
-    # the median, so that one record in other units does not change the usual value
+    # the median, so that one record in other units does not change the usual value; a resonance and its roll-off change
+    # one actuator's range by less than a factor of 300
     usual = float(np.median(reach))
     for r, x in zip(records, reach, strict=True):
-        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(_UNIT):
+        if usual > 0 and x > 0 and abs(np.log(x / usual)) > np.log(300):
             lines.append(f"{r.name}: moves {x / usual:.2g} times as far per volt as most others; check its unit")
     return lines
 
@@ -159,7 +154,8 @@ def drive_band(record: Record) -> tuple[float, float]:
         return line, line
     # from line 1 on: the mean is not excitation
     total = np.cumsum(np.abs(np.fft.rfft(record.voltage - record.voltage.mean()))[1:] ** 2)
-    low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (_TAIL, 1 - _TAIL))
+    # 1 % of the energy lies below the band, and 1 % above it
+    low, high = (int(np.searchsorted(total, share * total[-1])) + 1 for share in (0.01, 0.99))
     return low / (record.samples * record.dt), high / (record.samples * record.dt)
 
 
@@ -176,13 +172,14 @@ def coloured_noise(residual: np.ndarray, seen: np.ndarray, dt: float, top: float
     edges = band_edges(int(0.6 * len(residual)), dt)
     levels = band_levels(residual, seen, dt, edges)
     # so far above input and resonance the actuator does not respond, so the residual there is noise
-    own = edges[:-1] > max(_ABOVE_DRIVE * top, _ABOVE_RESONANCE * resonance)
+    own = edges[:-1] > max(4 * top, 6 * resonance)
     quarter = int(own.sum()) // 4
-    if own.sum() < _FEWEST_BANDS or not levels[own][-quarter:].any():
+    # fewer bands than 8 cannot tell a slope from scatter
+    if own.sum() < 8 or not levels[own][-quarter:].any():
         return None
     # white noise is level over these bands
     low, high = levels[own][:quarter].mean(), levels[own][-quarter:].mean()
-    if low < _COLOURED * high:
+    if low < 4 * high:
         return None
     return float(np.sqrt(levels[own] @ np.diff(edges)[own] + low * edges[:-1][own][0]))
 

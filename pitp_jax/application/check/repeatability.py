@@ -12,10 +12,7 @@ import numpy as np
 from ...method.signal.excitation_kind import spectrum
 from ...method.signal.record import Record
 
-_PERIODS = 8  # largest number of periods apart
-_SAME = 0.03  # of the input's standard deviation
 _FEWEST = 3  # windows of two periods, at least
-_MOVING = 0.1  # of the record's largest standard deviation over a window
 
 
 def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> float | None:
@@ -25,8 +22,8 @@ def repeat_scatter(record: Record, error: np.ndarray, counts: np.ndarray) -> flo
     # too few samples of a period, or periods of a record, to compare
     if not 8 <= period <= len(u) / (2 * _FEWEST):
         return None
-    # the period is known to a sample or two after several of them
-    lags = {round(k * period) + d for k in range(1, _PERIODS + 1) for d in (-2, -1, 0, 1, 2)}
+    # the period is known to a sample or two after several of them, at most 8
+    lags = {round(k * period) + d for k in range(1, 9) for d in (-2, -1, 0, 1, 2)}
     inputs, errors = ((values, np.gradient(values)) for values in (u, error))
     rows = [_at(inputs, errors, counts, lag, int(np.ceil(2 * period))) for lag in sorted(lags)]
     rows = [row for row in rows if row is not None]
@@ -62,7 +59,7 @@ def _at(u, error, counts, lag: int, size: int) -> tuple[float, float] | None:
     change, more = (windows(v) for v in _change(u, lag))
     apart = np.sqrt(_square(change, more, np.ones_like(both))) / np.maximum(spread, 1e-30)
     # the input repeats there, it moves, and half was observed
-    good = (apart < _SAME) & (spread > _MOVING * spread.max()) & (both.mean(1) > 0.5)
+    good = (apart < 0.03) & (spread > 0.1 * spread.max()) & (both.mean(1) > 0.5)
     if good.sum() < _FEWEST:
         return None
     change, more = (windows(v) for v in _change(error, lag))

@@ -11,9 +11,6 @@ import numpy as np
 from ...method.signal.record import Record
 from .repeatability import repeat_scatter
 
-_SAME = 0.01  # fraction of the input's range
-_MOST = 400  # records; all pairs of them are compared
-
 
 @dataclass(frozen=True)
 class Repeat:
@@ -25,8 +22,8 @@ class Repeat:
 
 
 def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
-    """Group records with the same input; each record is in one group at most."""
-    others, groups = list(records[:_MOST]), []
+    """Group records with the same input; each record is in one group at most, and all pairs of 400 are compared."""
+    others, groups = list(records[:400]), []
     while others:
         first = others.pop(0)
         same = [r for r in others if _same(first, r)]
@@ -39,7 +36,7 @@ def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> 
 def _same(a: Record, b: Record) -> bool:
     if a.samples != b.samples or abs(a.dt / b.dt - 1) > 1e-3 or not np.ptp(a.voltage) > 0:
         return False
-    return bool(np.abs(a.voltage - b.voltage).max() < _SAME * np.ptp(a.voltage))
+    return bool(np.abs(a.voltage - b.voltage).max() < 0.01 * np.ptp(a.voltage))
 
 
 def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repeat:

@@ -11,8 +11,6 @@ from .repeats import Repeat
 from .set_fit import SetFit
 
 _PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
-_STDERRS = 4.0  # combined standard errors by which two offsets differ, and 0.2 % of range
-_SMALL = 0.002  # of the range: offsets this close count as equal
 
 
 def set_advice(
@@ -77,12 +75,10 @@ def _zeros(rows: Mapping, used: Sequence[Record], fitted: SetFit | None) -> list
     middle, far = float(np.median(resting or zeros)), False
     for r, zero, error in zip(known, zeros, errors, strict=True):
         y = r.displacement[r.observed]
-        blur = (
-            fitted.records[r.name].unexplained * y.std()
-            if fitted is not None and rows[r.name].begins != "rest"
-            else 0.0
-        )
-        far = far or abs(zero - middle) > _STDERRS * error + _SMALL * np.ptp(y) + blur
+        may = 4 * error + 0.002 * np.ptp(y)
+        if fitted is not None and rows[r.name].begins != "rest":
+            may += fitted.records[r.name].unexplained * y.std()
+        far = far or abs(zero - middle) > may
     unit = known[0].displacement_unit
     if not far:
         return []
@@ -99,14 +95,10 @@ def _floor(repeats: Sequence[Repeat], cycles: Mapping[str, float]) -> list[str]:
     known = [r for r in repeats if np.isfinite(r.percent)]
     if known:
         worst = max(known, key=lambda r: r.percent)
+        which = f"worst {worst.percent:.2g} %: " if len(known) > 1 else ""
         return [
-            f"inputs played twice give outputs that agree to {np.median([r.percent for r in known]):.2g} % of range"
-            + (
-                f" (worst {worst.percent:.2g} %: {some_of(worst.names)})"
-                if len(known) > 1
-                else f" ({some_of(worst.names)})"
-            )
-            + "; no model can do better"
+            f"inputs played twice give outputs that agree to {np.median([r.percent for r in known]):.2g} % of range "
+            f"({which}{some_of(worst.names)}); no model can do better"
         ]
     if cycles:
         return [

@@ -26,15 +26,8 @@ from ...method.signal.preprocess import force_band
 from ...method.signal.record import Record
 from ...method.signal.reduced import averaged, block_size
 
-_PER_PERIOD = 40  # samples per period of the force band that a record keeps
-_MOST = 300_000  # samples in all
-_ROUNDS = 3  # refits of the common poles, each without the records that differ
-_HALVED = 6  # records from which halves of the set are tried
-_EXACT = 1e-6  # fraction unexplained of a record without noise
-_SPREADS, _GAIN = 5.0, np.log(2.0)  # robust deviations; the least change of gain that counts
+_SPREADS = 5.0  # robust deviations from which a record may not belong
 _UNEXPLAINED = 0.3  # fraction from which a record may not belong
-_UNITS = (1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6)  # factors between units that are easily confused
-_TELLS = 4.0  # standard errors of a record's own gain from which its direction is known
 
 
 @dataclass(frozen=True)
@@ -104,11 +97,12 @@ def _fitted(records: Sequence[Record], input_map: str) -> SetFit | None:
         best = _beside_poles_of(every, small, step)
         if best is None:
             return None
-        if len(small) >= _HALVED and _doubtful(best[1]):
+        # halves of fewer than 6 records would decide by chance
+        if len(small) >= 6 and _doubtful(best[1]):
             halves = [_beside_poles_of(set(list(every)[k::2]), small, step) for k in (0, 1)]
             best = min([best, *(h for h in halves if h is not None)], key=lambda b: _usual(b[1]))
         kept = every
-        for _ in range(_ROUNDS):
+        for _ in range(3):  # each without the records that differ
             belong = {k for k, row in enumerate(best[1]) if not row.strange}
             if len(belong) < 2 / 3 * len(every):  # the records disagree, so none can be excluded
                 best, belong = (best[0], [replace(row, strange="") for row in best[1]]), kept
@@ -158,8 +152,9 @@ def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Recor
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, total = records[0].dt, sum(r.samples for r in records)
     shortest = min(r.samples for r in records)
-    fine = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
-    step = max(fine, min(-(-total // _MOST), shortest // 64), 1)
+    # 40 samples per period of the force band remain, and 300,000 in all
+    fine = block_size(dt, force_band(forces, dt), 40, shortest)
+    step = max(fine, min(-(-total // 300_000), shortest // 64), 1)
     small = [averaged(r, force, step) for r, force in zip(records, forces, strict=True)]
     # an input that starts at 0 V was held there before, at rest
     firsts = [np.append(force[:1], r.voltage[1:]) for r, force in zip(small, forces, strict=True)]
@@ -179,11 +174,12 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     size = np.maximum(np.linalg.norm(stacked, axis=0), 1e-300)
     inverse = np.linalg.pinv((stacked / size).T @ (stacked / size))
     known = level * np.sqrt(max(inverse[1, 1], 0.0)) / size[1]
-    unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), _EXACT), np.zeros(record.samples)
+    # 1e-6: a record without noise
+    unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), 1e-6), np.zeros(record.samples)
     whole[seen] = error
     direction = 1.0 if factors[1] >= 0 else -1.0
     # a record that the poles hardly explain does not show the sign of its gain
-    tells = bool(abs(factors[1]) > _TELLS * known and unexplained < 0.9)
+    tells = bool(abs(factors[1]) > 4 * known and unexplained < 0.9)
     return Beside(replace(begun, direction=direction), float(factors[1]), unexplained, tells, whole, seen, step)
 
 
@@ -195,7 +191,7 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
     logs = np.log(gains / np.nanmedian(gains))
     usual = _usual(rows)
     # 1.4826 median deviations are a standard deviation, and a few outliers do not change them
-    far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), _GAIN)
+    far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), np.log(2.0))
     spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
     judged = []
     for row, log, off in zip(rows, logs, far, strict=True):
@@ -208,7 +204,8 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
 def _strange(row: Beside, gain: float, off: bool, poor: bool, usual: float) -> str:
     """Write why a record does not belong to the others; empty if it does."""
     if off and not poor:
-        near = min(_UNITS, key=lambda unit: abs(np.log(gain / unit)))
+        # factors between units that are easily confused
+        near = min((1e-6, 1e-3, 1e-2, 1e-1, 1e1, 1e2, 1e3, 1e6), key=lambda unit: abs(np.log(gain / unit)))
         if abs(np.log(gain / near)) < 0.3:  # within 35 % of such a factor
             return f"moves {gain:.3g} times as far as the others under its input; check its unit and scale"
         return f"moves {gain:.2g} times as far as the others under its input; check preload, scale and actuator"

@@ -85,6 +85,7 @@ def _correlation(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Correlate two commands at all lags with enough overlap; return lags k (x_i beside y_{i-k}) and correlations."""
     lags = np.arange(-(len(y) - 1), len(x))
     low, high = np.maximum(0, lags), np.minimum(len(x), lags + len(y))
+    # at least half of the shorter recording
     enough = (high - low) >= 0.5 * min(len(x), len(y))
     lags, low, high = lags[enough], low[enough], high[enough]
     x, y = x - x.mean(), y - y.mean()

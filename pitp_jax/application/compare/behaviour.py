@@ -95,6 +95,7 @@ def _common_range(a: Fitted, b: Fitted) -> tuple[float, float]:
 def _sweep(a: Fitted, b: Fitted, low: float, high: float) -> tuple[np.ndarray, float]:
     """Return a sweep of the input up to twice the higher resonance of two models, and its sampling interval (s)."""
     hertz = max(m.natural_frequency for m in (a, b)) / (2 * np.pi)
+    # 60 periods of the faster model, with at most 20,000 samples
     duration = 60 / hertz
     dt = max(min(a.dt, b.dt), duration / 20_000)
     t = dt * np.arange(round(duration / dt))

@@ -209,6 +209,7 @@ class _Table:
         finite = self.distance[np.isfinite(self.distance)]
         response = self.distance / max(finite.max(initial=0.0), 1e-300)
         renamed = np.array([[a.name != b.name for b in self.others] for a in self.mine])
+        # weights: the command before the response, and the name after it
         cost = 1e3 * np.maximum(excess, 0.0) + np.minimum(response, 1.0) + 1e-9 * renamed
         return np.where(fits, cost, _REFUSED)
 

@@ -66,6 +66,7 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     stroke = float(from_base(np.ptp(y[seen]), unit))
     apart = np.sqrt(np.mean((other - y - pair.output_offset)[seen] ** 2))
     difference, floor = (float(from_base(v, unit)) for v in (apart, noise))
+    # two recordings of one machine differ by at most 3 standard deviations of both sensors' noise
     return [
         measured(f"{name}: size of the motion", stroke, whole[0] * stroke, unit, (0.0, errors[0] * stroke)),
         measured(f"{name}: time behind {first}", 0.0, 1e3 * whole[1], "ms", (0.0, 1e3 * errors[1])),

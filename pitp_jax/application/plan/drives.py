@@ -17,10 +17,7 @@ from .limits import Limits
 from .waveforms import smooth_step
 
 _LEAST = 0.15  # of the largest force: the smallest peak of an input
-_MOST = 0.7  # of its highest force: the largest value of its lowest one
-_DENSE = 0.5  # exponent of a uniform number: below 1, more points near the largest force
 _FROM_ZERO = 0.75  # of the points have the limits' lowest voltage, as most test inputs do
-_SLEW = 0.999  # of the limit, so that rounding in a file does not exceed it
 
 
 @dataclass(frozen=True)
@@ -69,9 +66,9 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
     drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced only for powers of two
     first, last = np.log(limits.band)
-    force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** _DENSE
+    force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** 0.5  # more points near the largest force
     high = limits.high * np.sqrt(force)
-    bias = _MOST * np.maximum(0.0, (drawn[:, 2] - _FROM_ZERO) / (1 - _FROM_ZERO))
+    bias = 0.7 * np.maximum(0.0, (drawn[:, 2] - _FROM_ZERO) / (1 - _FROM_ZERO))
     low = high * np.sqrt(bias) if limits.low == 0 else limits.low + bias * (high - limits.low)
     return np.stack([np.exp(first + (last - first) * drawn[:, 0]), low, high], 1)
 
@@ -91,7 +88,7 @@ def through(points: np.ndarray, seconds: float, limits: Limits) -> np.ndarray:
 
 def within(mean: np.ndarray | float, swing: np.ndarray, limits: Limits) -> np.ndarray:
     """Return mean + swing (V), shape (T,), with ramps at both ends and the swing reduced to the slew limit."""
-    size, most = len(swing), _SLEW * limits.slew / limits.rate
+    size, most = len(swing), 0.999 * limits.slew / limits.rate  # rounding in a file must not exceed the limit
     mean = np.broadcast_to(np.asarray(mean, np.float64), size)
     rise = max(int(np.ceil(limits.ramp(np.abs(mean + swing).max()) * limits.rate)), 1)
     t = np.arange(size)

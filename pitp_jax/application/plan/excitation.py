@@ -47,9 +47,6 @@ class Excitation:
         return float(self.time[-1] / (len(self.time) - 1))
 
 
-_F_START = 0.01  # Hz, of both sweeps
-
-
 @dataclass(frozen=True)
 class _Protocol:
     """The protocol of the paper's section III-C for one actuator, in V, Hz and s."""
@@ -131,7 +128,7 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
     edges = {"rise": rise, "rest_s": rest_s}
     if part == "sweep":
         swing = numbers.offset
-        drive = sweep(_F_START, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
+        drive = sweep(0.01, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
         return (Excitation("sweep", *drive),)
     grid = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes] if part == "train" else numbers.test
     digits = "03.0f" if part == "train" else "05.1f"

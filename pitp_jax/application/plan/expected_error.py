@@ -28,7 +28,6 @@ from ...method.train.refine import prior_weights, thinning
 from ...method.train.settings import Settings, firmness_of
 
 _AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
-_STILL = 1e-3  # of the largest range: a run that moves less carries no information
 
 
 def information(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float = 0.0) -> list[np.ndarray]:
@@ -58,7 +57,7 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
     # diverged and padded samples carry no information, and must not bring nan into the sums
     x = np.where(inside & finite[:, None], x, 0.0)
     span = np.ptp(np.where(inside, x, x[:, :1]), axis=1)
-    tells = finite & (span > _STILL * span.max())
+    tells = finite & (span > 1e-3 * span.max())  # a run that moves less carries no information
     # infinite, so that a diverged run has weight zero instead of nan
     against = np.where(tells, np.hypot(span, floor / scale), np.inf)
     # 1e4: squares of errors in percent of the range

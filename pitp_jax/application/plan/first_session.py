@@ -17,6 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.numbers import short
 from .drives import Planned, space_filling, through, within
 from .limits import Limits
 from .strokes import growth
@@ -24,16 +25,13 @@ from .waveforms import smooth_step, sweep
 
 _GROWTH = (0.25, 0.5, 0.71, 1.0)  # of the highest voltage: its square grows 4, 2 and 2 times
 _PARTS = {"growth": 0.1, "sweep": 0.25}  # of the duration; the set and its repeat have the remainder
-_RAISED = 1.1  # least ratio of a growth sweep's voltage to the one before
-_STEEP = 0.85  # of the slew for the swing; its envelope takes the remainder
 FEWEST = 8  # recordings of a set if the duration allows: fewer train a smaller encoder
 POINTS = 3  # that a recording passes through
-MOST_PERIODS = 4.0  # of the lowest frequency, in a recording of the set if no duration is given
 
 
 def default_duration(limits: Limits, fresh: bool) -> float:
     """Return the default duration of all planned inputs together, s."""
-    filling = FEWEST * max(limits.shortest, MOST_PERIODS / limits.band[0])
+    filling = FEWEST * max(limits.shortest, 4.0 / limits.band[0])  # four periods of the lowest frequency
     return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits)) if fresh else filling
 
 
@@ -72,7 +70,7 @@ def _growth(seconds: float, limits: Limits) -> list[Planned]:
     for level in _GROWTH:
         time, voltage = _swept(level, seconds, limits)
         top = float(np.abs(voltage).max())
-        if top > _RAISED * reached:
+        if top > 1.1 * reached:
             part = f"{100 * top / limits.high:.0f} % of the {limits.units.input_word}"
             text = f"shows whether the actuator bears {part}: check the stroke before the next one"
             name = f"growth_{100 * top / limits.high:.0f}"
@@ -87,8 +85,8 @@ def _swept(level: float, seconds: float, limits: Limits):
     time, wave = sweep(*limits.band, seconds, limits.rate, top, 0.0)
     first, last = limits.band
     hz = first + (last - first) * time / seconds
-    # the slew limits only the fast end of the band; the slow end uses the whole voltage
-    swing = np.minimum(1.0, _STEEP * limits.slew / (2 * np.pi * hz * top))
+    # the slew limits only the fast end of the band; the slow end uses the whole voltage. The envelope takes 15 % of it.
+    swing = np.minimum(1.0, 0.85 * limits.slew / (2 * np.pi * hz * top))
     # the swing ends before the mean ramps down; otherwise both slews would add
     ramp = min(limits.ramp(2 * top), seconds / 8)
     swing *= smooth_step((seconds - ramp - time) / (4 * ramp))
@@ -122,7 +120,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     time = np.arange(len(voltage)) / limits.rate
     hz, shown = points[:, 0], limits.units.input
     top = float(shown.shown(np.abs(voltage).max()))
-    size = f"{top:.0f}" if top >= 100 else f"{top:.3g}"
+    size = short(top, 3)
     spread = f", then {hz.min():.3g} to {hz.max():.3g} Hz" if len(points) > 1 else ""
     what = f"motion at {hz[0]:.3g} Hz at first{spread}, up to {size} {shown.unit}"
     text = f"{what}: one of a set that covers frequency, amplitude and bias"

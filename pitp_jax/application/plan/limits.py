@@ -13,9 +13,6 @@ from ...common.numbers import rounded_up
 from ...common.quantity import Units
 
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
-_DEFAULT_RATE = 100.0  # samples a period if no rate is given
-_PERIODS = 2.0  # of the lowest frequency that a recording must contain
-_RAMPS = 0.5  # fraction of a recording that its two ramps may take
 
 
 @dataclass(frozen=True)
@@ -69,7 +66,7 @@ class Limits:
     @property
     def shortest(self) -> float:
         """Return the duration of the shortest recording, s: two periods of the lowest frequency, at most half ramps."""
-        return max(_PERIODS / self.band[0], 2 * self.ramp(self.high) / _RAMPS)
+        return max(2 / self.band[0], 4 * self.ramp(self.high))
 
     def ramp(self, volts: float) -> float:
         """Return the duration (s) of a smooth step of this height (V), whose steepest slope is 15/8 of the mean slope.
@@ -81,4 +78,4 @@ class Limits:
 
 def default_rate(high_hz: float) -> float:
     """Return the default sampling rate, Hz: 100 samples per period of the highest frequency, rounded up."""
-    return rounded_up(_DEFAULT_RATE * high_hz)
+    return rounded_up(100 * high_hz)

@@ -24,9 +24,7 @@ from .first_session import FEWEST, POINTS, default_duration, drive
 from .limits import Limits
 from .strokes import strokes
 
-_CANDIDATES, _PREDICTED = 48, 16  # candidate inputs, and inputs to be predicted
-_SEEN = 0.01  # relative decrease of the expected error that makes a further recording worthwhile
-_JITTER = 1e-9  # of the mean diagonal, because float32 slopes leave a matrix barely singular
+_CANDIDATES = 48  # inputs to choose from
 
 
 @dataclass(frozen=True)
@@ -58,9 +56,9 @@ def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[l
             f"damping); lower {limits.units.max_input}"
         )
     out = len(drives) - len(kept)
-    return kept, (
-        f"{out} of {len(drives)} inputs left out, because their predicted stroke exceeds the limit",
-    ) if out else ()
+    if not out:
+        return kept, ()
+    return kept, (f"{out} of {len(drives)} inputs left out, because their predicted stroke exceeds the limit",)
 
 
 def following(model: Model, records: Sequence[Record], limits: Limits, length: float, seed: int) -> Next:
@@ -78,7 +76,7 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
     tried, notes = bearable(model, tried, limits)
     # other points than the candidates', which would predict themselves best
-    wanted = [drive(p[None], one, limits) for p in space_filling(_PREDICTED, limits, seed + 1)]
+    wanted = [drive(p[None], one, limits) for p in space_filling(16, limits, seed + 1)]
     known = knowledge(model, records)
     offered, predicted = (
         information(model, [d.voltage for d in some], 1 / limits.rate, known.floor) for some in (tried, wanted)
@@ -101,17 +99,16 @@ def greedy(
     taken, variances = choose(known.precision, [seconds * m for m in offered], judged, count)
     v = known.unit * np.array(variances)
     # compared with the model's residual: a variance below it cannot be seen in any measured error
-    seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= _SEEN
+    seen = 1 - np.sqrt((v[1:] + known.error**2) / (v[:-1] + known.error**2)) >= 0.01
     worth = len(taken) if seen.all() else int(np.argmin(seen))
     return taken, tuple(map(float, np.sqrt(v))), worth
 
 
 def variance(precision: np.ndarray, predicted: np.ndarray) -> float:
     """Return the mean variance of predictions, tr(Lambda^-1 G), for precision Lambda and predictions G, both (P, P)."""
-    size = len(precision)
-    return float(
-        np.trace(cho_solve(cho_factor(precision + _JITTER * np.trace(precision) / size * np.eye(size)), predicted))
-    )
+    # float32 slopes leave a matrix barely singular
+    regular = precision + 1e-9 * np.trace(precision) / len(precision) * np.eye(len(precision))
+    return float(np.trace(cho_solve(cho_factor(regular), predicted)))
 
 
 def choose(

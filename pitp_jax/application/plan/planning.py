@@ -31,8 +31,6 @@ REACHED = (
     "none is left, identify a model on the recordings made so far and plan with it: it predicts the stroke of every "
     "input and proposes those within the limit."
 )
-_LONG = 60.0  # s; a longer recording is reported if the slew limit causes it
-_BAND = (0.05, 1.3)  # of a model's resonance, if no band is given
 
 
 @dataclass(frozen=True, repr=False)
@@ -125,12 +123,13 @@ def plan(
         >>> max(float(np.abs(r.voltage).max()) for r in session.recordings) <= 3000.0
         True
     """
-    units = units or (Units() if model is None else units_of(model))
-    fitted = None if model is None else fitted_of(model)
-    model = None if fitted is None else fitted.model
+    fitted, usual = None, Units()
+    if model is not None:
+        fitted = fitted_of(model)
+        model, usual = fitted.model, units_of(fitted)
     if records:
         check_set(records)
-    limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units)
+    limits = _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, units or usual)
     length = duration or default_duration(limits, fresh=model is None)
     if model is None or fitted is None:
         return _played(first_session(limits, length, seed), limits, alternate)
@@ -192,7 +191,7 @@ def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
     low, high = limits.band
     # duration of a swing between the limits and back at the largest slew
     stretched = 2 * (limits.high - limits.low) / limits.slew
-    long = [d for d in drives if d.seconds > max(_LONG, 1 / low)]
+    long = [d for d in drives if d.seconds > max(60.0, 1 / low)]
     if not long or stretched < 1 / high:
         return ()
     longest, units = max(d.seconds for d in long), limits.units
@@ -214,29 +213,27 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
     Raises:
         BadInput: one is missing.
     """
-    missing = [name for name, value in ((units.max_input, max_voltage), ("--band", band)) if value is None]
-    if model is None and missing:
-        raise BadInput(
-            f"a first session needs {' and '.join(missing)}; give the limits of the amplifier and the membrane"
-        )
-    low, high = (0.0, 0.0) if model is None else model.domain.voltage_range
-    one_sided = model is None or model.input_map.one_sided
-    # behind a square a negative voltage gives the same force as a positive one
-    low, high = (0.0, max(high, -low)) if one_sided else (min(low, 0.0), high)
-    if max_voltage is not None:
-        high, low = max_voltage, max(low, -max_voltage)
-    if band is None and model is not None:
-        hz = model.natural_frequency / (2 * np.pi)
-        band = (_BAND[0] * hz, min(_BAND[1] * hz, (rate or 1 / model.dt) / 20))
-    assert band is not None
-    rate = rate or (default_rate(band[1]) if model is None else 1 / model.dt)
+    if model is None:
+        missing = [name for name, value in ((units.max_input, max_voltage), ("--band", band)) if value is None]
+        if missing:
+            raise BadInput(
+                f"a first session needs {' and '.join(missing)}; give the limits of the amplifier and the membrane"
+            )
+        low, high, steepest = 0.0, max_voltage, np.inf
+        rate, pause = rate or default_rate(band[1]), lambda: first_rest(band)
+    else:
+        (low, high), steepest = model.domain.voltage_range, model.domain.slew
+        # behind a square a negative voltage gives the same force as a positive one
+        low, high = (0.0, max(high, -low)) if model.input_map.one_sided else (min(low, 0.0), high)
+        if max_voltage is not None:
+            high, low = max_voltage, max(low, -max_voltage)
+        rate, hz = float(rate or 1 / model.dt), model.natural_frequency / (2 * np.pi)
+        band, pause = band or (0.05 * hz, min(1.3 * hz, rate / 20)), lambda: rest_after(model, float(high), rate)
     if max_slew is None:
-        seen = np.inf if model is None else model.domain.slew
         # the slew of a sine over the whole range at the highest frequency, the steepest input planned
-        max_slew = seen if np.isfinite(seen) else np.pi * band[1] * (high - low)
+        max_slew = steepest if np.isfinite(steepest) else np.pi * band[1] * (high - low)
     farthest = np.inf if max_displacement is None else max_displacement
-    if rest is None:
-        rest = first_rest(band) if model is None else rest_after(model, float(high), float(rate))
+    rest = pause() if rest is None else rest
     return Limits(
         low, high, float(max_slew), farthest, (float(band[0]), float(band[1])), float(rate), float(rest), units
     )

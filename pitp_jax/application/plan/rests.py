@@ -10,22 +10,21 @@ from ...method.model.model import Model
 from ...method.simulate.voltage_only import rollout
 
 _SETTLED = 0.005  # of the stroke: hidden in sensor noise
-_HELD, _LONGEST = 3.0, 30.0  # s: hold before the rest, and longest rest
-_DAMPING = 0.05  # of an actuator without a model
+_LONGEST = 30.0  # s
 
 
 def first_rest(band: tuple[float, float]) -> float:
     """Return the pause between recordings of a first session, s, rounded up to tenths."""
     w = 2 * np.pi * np.sqrt(band[0] * band[1])
-    return min(float(np.ceil(-10 * np.log(_SETTLED) / (_DAMPING * w)) / 10), _LONGEST)
+    return min(float(np.ceil(-10 * np.log(_SETTLED) / (0.05 * w)) / 10), _LONGEST)
 
 
 def rest_after(model: Model, volts: float, rate: float) -> float:
     """Return the time after which the model is at rest again from a constant voltage, s, rounded up to tenths."""
-    held = round(_HELD * rate)
+    held = round(3.0 * rate)  # seconds of voltage before the rest
     u = np.append(np.full(held, volts), np.zeros(round(_LONGEST * rate)))
     x = np.abs(rollout(model, u, 1 / rate, begins="rest"))
     if not np.isfinite(x).all():
         return _LONGEST
     moving = np.flatnonzero(x[held:] > _SETTLED * x.max())
-    return float(np.ceil(10 * (moving[-1] + 1 if len(moving) else 0) / rate) / 10)
+    return float(np.ceil(10 * (1 + max(moving[-1:], default=-1)) / rate) / 10)

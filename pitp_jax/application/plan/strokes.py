@@ -15,8 +15,6 @@ from ...method.model.model import Model
 from ...method.simulate.voltage_only import rollout
 
 LEAST_DAMPING = 0.01  # of an actuator that has not been identified yet
-_HALF = 0.5  # of the identified damping: a resonance then swings twice as far
-_PLACES, _LINES = 40, 3  # resonances over the band; lines of an input's own force
 
 
 def half_damped(model: Model) -> Model:
@@ -24,7 +22,7 @@ def half_damped(model: Model) -> Model:
     a = model.physical_coefficients
     poles = np.roots(a[::-1])
     rings = np.abs(poles.imag) > 0
-    slower = np.where(rings, poles.real * _HALF, poles.real)
+    slower = np.where(rings, poles.real / 2, poles.real)
     # a pair keeps its magnitude |p|, and with it the stiffness
     turned = np.sign(poles.imag) * np.sqrt(np.maximum(np.abs(poles) ** 2 - slower**2, 0.0))
     moved = np.real(np.poly(np.where(rings, slower + 1j * turned, poles)))[::-1]
@@ -57,7 +55,7 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
     """
     forces = [u * u for u in voltages]
     # at least five samples in a period: a faster resonance is distorted by its sampling
-    places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), _PLACES)
+    places = np.geomspace(band[0], min(1.5 * band[1], 0.2 / dt), 40)
     # a resonance of damping 0.01 is narrower than the grid, so an input's own line could miss it
     places = np.unique(np.concatenate([places, *(_lines(f, dt, band) for f in forces)]))
     filters = [_sampled(hz, dt) for hz in places]
@@ -69,12 +67,12 @@ def growth(voltages: Sequence[np.ndarray], dt: float, band: tuple[float, float])
 
 
 def _lines(force: np.ndarray, dt: float, band: tuple[float, float]) -> np.ndarray:
-    """Return the frequencies (Hz) of the strongest Fourier lines of an input (V^2), near the band."""
+    """Return the frequencies (Hz) of the three strongest Fourier lines of an input (V^2), near the band."""
     size = np.abs(np.fft.rfft(force - force.mean()))
     hz = np.fft.rfftfreq(len(force), dt)
     peaks = find_peaks(size)[0]
     peaks = peaks[(hz[peaks] >= band[0]) & (hz[peaks] <= 1.5 * band[1])]
-    return hz[peaks[np.argsort(size[peaks])[-_LINES:]]]
+    return hz[peaks[np.argsort(size[peaks])[-3:]]]
 
 
 def _sampled(hz: float, dt: float) -> tuple[np.ndarray, np.ndarray]:

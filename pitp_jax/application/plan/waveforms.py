@@ -181,7 +181,7 @@ def multisine(
     phase = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, len(bins))
     best = _tones(bins, phase, len(time))
     trial = best
-    for _ in range(0 if crest is None else 100):
+    for _ in range(100):
         if crest is None or _crest(best) <= crest:
             break
         # peaks are clipped and only the phases of the result kept (Van der Ouderaa)

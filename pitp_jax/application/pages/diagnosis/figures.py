@@ -71,6 +71,7 @@ def telling(trace: Trace) -> slice:
     width = max(total // 8, min(total, 64))
     peak = _loudest(e, width)
     near = np.count_nonzero((turns >= peak) & (turns < peak + width)) / 2
+    # about six oscillations
     width = int(np.clip(6 * width / max(near, 1e-9), min(total, 64), total))
     first = _loudest(e, width)
     return slice(first, first + width)
