@@ -6,8 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 
-_NO_RECORDS = ("out", "report", "json_file", "model", "nominal")  # arguments whose folders do not determine joints
-
 
 def once_per_joint(arguments: dict) -> Iterator[dict]:
     """Yield the arguments of a command once, or once per robot joint with its columns and output paths.
@@ -50,7 +48,8 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
 
 def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
     """Return reading options by robot joint; empty if neither the caller nor `pitp.toml` names joints."""
-    read_from = [v for key, v in arguments.items() if key not in _NO_RECORDS]
+    no_records = "out", "report", "json_file", "model", "nominal"
+    read_from = [v for key, v in arguments.items() if key not in no_records]
     paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]
     folders = {p if p.is_dir() else p.parent for p in paths if p.exists()}
     # imported here, because the table reader loads NumPy, which a usage error does not need

@@ -26,8 +26,10 @@ from .protocol import Demo, excitations, nearest, tables
 TABLE_FILES = ("table_1_in_sample.csv", "held_out.csv", "table_2_tracking.csv")
 FIGURES = ("sweep", "prediction", "hysteresis", "tokens", "tracking")
 RECORDS, HELD_OUT = "records", "held_out"
-DRAWN = tuple(f"{HOME}/{name}.{kind}" for name in FIGURES for kind in ("png", "csv"))
-FILES = ("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv", *DRAWN)
+FILES = (
+    *("nominal.pitp", "model.pitp", *TABLE_FILES, "tracking.csv", "target.csv"),
+    *(f"{HOME}/{name}.{kind}" for name in FIGURES for kind in ("png", "csv")),
+)
 
 
 def write(demo: Demo, folder: Path) -> None:

@@ -18,7 +18,6 @@ from ...files.recordings.writing import write_csv, write_text_atomic
 
 SIMULATED, ROBOT, SIMULATOR_FILE = "sim", "robot", "joint.xml"
 POSITION_GAIN = 20.0  # Kp of the simulator and of the robot, N m/rad
-_STEP = 2.5e-4  # s; at most, and a whole number of them in a sample
 _ENCODER = 2 * np.pi / 2**14  # rad
 
 
@@ -75,7 +74,7 @@ def simulate(joint: Joint, command: Callable[[np.ndarray], np.ndarray], time: np
         time: uniform sample times, s, shape (T,).
     """
     dt = float(time[1] - time[0])
-    substeps = int(np.ceil(dt / _STEP))
+    substeps = int(np.ceil(dt / 2.5e-4))
     h = dt / substeps
     # the command acting in each substep: sampled at its own time stamp, T later at the motor
     acting = np.arange(len(time) * substeps) * h - joint.delay

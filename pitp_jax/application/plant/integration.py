@@ -16,12 +16,10 @@ import jax.numpy as jnp
 
 from .physics import Plant
 
-_PHASE_STEP = 0.03  # largest angle of the natural frequency per Runge-Kutta step
-
 
 def substeps(plant: Plant, dt: float) -> int:
     """Return the number of Runge-Kutta steps per sample of `dt` s: at most 0.03 rad of the natural frequency each."""
-    return max(1, math.ceil(2.0 * math.pi * plant.resonance_hz * dt / _PHASE_STEP))
+    return max(1, math.ceil(2.0 * math.pi * plant.resonance_hz * dt / 0.03))
 
 
 def rest(plant):

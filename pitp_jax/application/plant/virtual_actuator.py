@@ -9,6 +9,7 @@ some 10 % of creep; `roll` has one mode at 142 Hz and little creep.
 """
 
 import zlib
+from collections.abc import Collection
 from dataclasses import replace
 from functools import partial
 
@@ -81,8 +82,7 @@ def plant(name: str) -> Plant:
         >>> pitp.plant("roll").rate_hz
         5000.0
     """
-    if name not in _PLANTS:
-        raise ValueError(f"unknown virtual actuator {name!r}; use one of {', '.join(_PLANTS)}")
+    _one_of("virtual actuator", name, _PLANTS)
     return _PLANTS[name]
 
 
@@ -199,7 +199,7 @@ def _interval(time, voltage) -> float:
     return dt
 
 
-def _one_of(what: str, value: str, known: tuple[str, ...]) -> None:
+def _one_of(what: str, value: str, known: Collection[str]) -> None:
     """Refuse the value of an option that is not one of the known ones."""
     if value not in known:
         raise ValueError(f"unknown {what} {value!r}; use one of {', '.join(known)}")

@@ -6,18 +6,17 @@ act on the sum of all forces before them.
 
 from ...common.errors import BadInput
 from .coupling import COUPLING
-from .dissipation import DRAG, FRICTION
+from .dissipation import LOSSES
 from .drive import DRIVE
 from .effect import Effect
-from .inertia import FORCE_LIMIT, MASSES, SLACK
-from .memory import BRANCHES, DRIFT, LOOPS, STICKING
+from .inertia import LIMITS, MASSES
+from .memory import MEMORIES, STICKING
 from .sensor import SENSOR
 from .spec import EffectSpec
 from .stiffness import SPRINGS
 
 CATALOGUE: tuple[EffectSpec, ...] = (
-    *SPRINGS, *BRANCHES, *LOOPS, *DRIFT, *MASSES, *DRAG, *FRICTION, *STICKING, *FORCE_LIMIT, *SLACK, *DRIVE, *COUPLING,
-    *SENSOR,
+    *SPRINGS, *MEMORIES, *MASSES, *LOSSES, *STICKING, *LIMITS, *DRIVE, *COUPLING, *SENSOR,
 )  # fmt: skip
 
 

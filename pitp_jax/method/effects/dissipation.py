@@ -58,14 +58,12 @@ def _loaded(p, now: Instant):
 
 _LEVEL = Parameter("level", "V^2", force=1, off=0.0)
 
-DRAG = (
+LOSSES = (
     _loss(
         "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
         "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
     ),
-)  # fmt: skip
-FRICTION = (
     _loss(
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction opposes the motion with the same force at any speed.",
         "f = level sgn(x')", resolved=True,

@@ -33,17 +33,14 @@ def last_lag(p, w, z):
     return jnp.where(p.tau > 0, z[-1], w)
 
 
-_AT_ONCE = 0.05  # of the integral of the input
-
-
 def _led_force(p, v, dt):
     """Compute the input V^2 of a lag whose output is v^2, with the time constant tau."""
     return lead(v**2, dt, p.tau)
 
 
 def _by_area(p, k, plant):
-    """Report a loop as a voltage offset if its width is small against the input's integral."""
-    name = "voltage_offset" if p.width < _AT_ONCE * plant.area else "hysteresis"
+    """Report a loop as a voltage offset if its width is less than a twentieth of the input's integral."""
+    name = "voltage_offset" if p.width < 0.05 * plant.area else "hysteresis"
     return name, "Dahl of the command's integral", (p.level, p.width)
 
 

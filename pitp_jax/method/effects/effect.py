@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from .spec import EffectSpec, Parameter
 
 _STEPS, _FLATTEST = 8, 0.05  # of Newton's method, and the least slope that it divides by
-_ROUNDING = 3e-6  # relative, in float32: how exactly a law must reproduce the solved value
 
 
 @dataclass(frozen=True)
@@ -238,9 +237,9 @@ class Effect:
             return self.spec.passes(self.p, values, dt)
         if self.states:  # a memory delays the output but excludes nothing
             return jnp.ones(values.shape, bool)
-        # beyond a limit no input gives the value, whatever the inverse returns there
+        # beyond a limit no input gives the value, whatever the inverse returns there; 3e-6 is the rounding of float32
         w = self.undo(values, dt)
-        return jnp.abs(self.apply(w, jnp.zeros((0,))) - values) <= _ROUNDING * (jnp.abs(values) + jnp.abs(w))
+        return jnp.abs(self.apply(w, jnp.zeros((0,))) - values) <= 3e-6 * (jnp.abs(values) + jnp.abs(w))
 
 
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:

@@ -60,15 +60,13 @@ def _saturated(p, now: Instant):
     return asked - jnp.clip(asked, -limit, limit)
 
 
-FORCE_LIMIT = (
+LIMITS = (
     EffectSpec(
         "force_limit", "inside the loop", (Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False),),
         "The drive of a position controller cannot exceed a force.",
         "a_2 x'' = min(max(k (u - x) - a_1 x', -f), f), inverse = 1 / f", "drive", "M", resolved=True, needs_mass=True,
         law=_saturated,
     ),
-)  # fmt: skip
-SLACK = (
     EffectSpec(
         "slack", "free fall", (Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False),),
         "The actuator can only pull the load; otherwise the load falls freely.",

@@ -30,6 +30,14 @@ def _same(p, z, *others):
     return z
 
 
+def _settled(p, w, age):
+    return jnp.full((1,), w)
+
+
+def _unloaded(p, w, age):
+    return jnp.zeros((1,))
+
+
 @dataclass(frozen=True)
 class Kernel:
     """A memory with a fixed number of states.
@@ -51,7 +59,7 @@ class Kernel:
 
 NOTHING = Kernel(0, lambda p, w, age: jnp.zeros((0,)))
 # the input itself, for a reading that contains it
-PRESENT = Kernel(1, lambda p, w, age: jnp.full((1,), w), lambda p, z, before, after, h: jnp.full_like(z, after))
+PRESENT = Kernel(1, _settled, lambda p, z, before, after, h: jnp.full_like(z, after))
 DELAY = Kernel(0, NOTHING.start)  # differs from NOTHING by identity: the shift acts on records, see `shifted`
 
 
@@ -79,7 +87,7 @@ def lag_each_way() -> Kernel:
         up, down = (lag_followed(z, before, after, *lag_weights(jnp.maximum(t, 1e-9), h)) for t in (p.up, p.down))
         return jnp.where(rises, up, down)
 
-    return Kernel(1, lambda p, w, age: jnp.full((1,), w), advance)
+    return Kernel(1, _settled, advance)
 
 
 def lead(values: Float[Array, " time"], dt: float, tau) -> Float[Array, " time"]:
@@ -136,7 +144,7 @@ def _travelled(advance: Callable) -> Kernel:
         way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
         return advance(p, z, 0.0 * way, way, 0.0)
 
-    return Kernel(1, lambda p, w, age: jnp.zeros((1,)), advance, ahead)
+    return Kernel(1, _unloaded, advance, ahead)
 
 
 def dahl(width: str = "width") -> Kernel:
@@ -159,7 +167,7 @@ def dahl_of_integral() -> Kernel:
         end = jnp.sign(way)
         return end + (z - end) * jnp.exp(-jnp.abs(way) / p.width)
 
-    return Kernel(1, lambda p, w, age: jnp.zeros((1,)), advance)
+    return Kernel(1, _unloaded, advance)
 
 
 def bouc_wen() -> Kernel:
@@ -200,7 +208,7 @@ def slew() -> Kernel:
         most = h / jnp.maximum(p.inverse, 1e-30)  # inverse 0: no limit
         return z + jnp.clip(after - z, -most, most)
 
-    return Kernel(1, lambda p, w, age: jnp.reshape(w, (1,)), advance)
+    return Kernel(1, _settled, advance)
 
 
 def shifted(values: Float[Array, " time"], samples, before) -> Float[Array, " time"]:

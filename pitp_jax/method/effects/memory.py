@@ -55,33 +55,31 @@ def _branch(name: str, title: str, **how) -> EffectSpec:
     )  # fmt: skip
 
 
-BRANCHES = (
-    _branch("creep", "The actuator keeps yielding slowly under a held load.", second=("relaxation", "one branch")),
-    _branch("relaxation", "Part of the spring gives way within a few periods, which also damps."),
-)
-PLAYS = _loop(
+_PLAYS = _loop(
     "plays", _WIDTH, "Internal friction of the material makes a loop that is the same at every frequency.",
     "f = k kappa mean_j (x - z_j), z_j plays of half width (0.15, 0.4, 1, 2.2) width",
     # widths about even in their logarithm, so that the loop is rounded as measured ones are, by one parameter
     kernel=play(0.15, 0.4, 1.0, 2.2), law=lambda p, now: now.k * p.kappa * (now.x - now.z).mean(),
 )  # fmt: skip
-DAHL = EffectSpec(
-    "hysteresis", "Dahl", _WIDTH, "A force that builds up over a distance after each reversal and then stays constant.",
-    "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
-    stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
-)  # fmt: skip
-BOUC_WEN = _loop(
+_BOUC_WEN = _loop(
     # beyond its bounds gamma makes a spring of any shape
     "Bouc-Wen, either sign", (*_WIDTH, Parameter("gamma", positive=False, least=-1.5, most=1.5)),
     "A loop that gets softer with distance, or harder with gamma below -1.",
     "f = k kappa z, dz = dx (1 - (sgn(dx z) + gamma) |z| / width)",
     kernel=bouc_wen(), stiffens=True, law=lambda p, now: now.k * p.kappa * now.z[0],
 )  # fmt: skip
-LOOPS = PLAYS[0], DAHL, BOUC_WEN[0]
-STICKING = PLAYS[1], BOUC_WEN[1]
-
-
-DRIFT = (
+STICKING = _PLAYS[1], _BOUC_WEN[1]
+MEMORIES = (
+    _branch("creep", "The actuator keeps yielding slowly under a held load.", second=("relaxation", "one branch")),
+    _branch("relaxation", "Part of the spring gives way within a few periods, which also damps."),
+    _PLAYS[0],
+    EffectSpec(
+        "hysteresis", "Dahl", _WIDTH,
+        "A force that builds up over a distance after each reversal and then stays constant.",
+        "f = k kappa z, dz = dx (1 - sgn(dx) z / width)", "dissipation", "K", kernel=dahl(),
+        stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
+    ),
+    _BOUC_WEN[0],
     EffectSpec(
         "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
         "The stiffness changes during the session, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",

@@ -16,9 +16,14 @@ from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
 from .spec import EffectSpec, Parameter
 
+
+def _within_play(p, x, z):
+    """Return the follower of a play at the displacement x."""
+    return jnp.clip(z[0], x - p.width / 2, x + p.width / 2)
+
+
 _sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacement to its reading
 
-_TURN = 50.0  # samples to cross a play at the speed from which a motion has one direction
 _WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
 
 
@@ -31,7 +36,8 @@ def _second_order(p, y, dt):
 def _across(p, y, dt):
     """Compute x = y + w/2 sgn(y') from the reading: the play is crossed at every reversal of a smooth motion."""
     # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample
-    least = jnp.maximum(p.width, 1e-12) / (_TURN * dt)
+    # a motion that crosses it within 50 samples has one direction
+    least = jnp.maximum(p.width, 1e-12) / (50 * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
 
 
@@ -70,16 +76,14 @@ SENSOR = (
     EffectSpec(
         "backlash", "play", (_WIDTH,),
         "There is play between what moves and what is measured.", "x - width/2 <= y <= x + width/2, y moved by x alone",
-        "dissipation", "OUT", kernel=play(0.5), inverse=_across,
-        law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
+        "dissipation", "OUT", kernel=play(0.5), inverse=_across, law=_within_play,
     ),
     EffectSpec(
         "backlash", "coasting", (_WIDTH, Parameter("rate", "1/s")),
         "There is play between what moves and a load that coasts until it is caught.",
         "y'' = -rate y' within x - width/2 < y < x + width/2, y' = x' at either end", "dissipation", "OUT",
         # without a closed inverse: the load moves freely, and shooting on the rollout corrects for half the width
-        kernel=coasting(), inverse=lambda p, y, dt: y,
-        law=lambda p, x, z: jnp.clip(z[0], x - p.width / 2, x + p.width / 2),
+        kernel=coasting(), inverse=lambda p, y, dt: y, law=_within_play,
     ),
     _sensor(
         "sensor_lag", "one lag", (TAU,), "The sensor responds with a lag.", "tau y' = x - y",

@@ -22,8 +22,6 @@ from .spec import EffectSpec, Parameter
 _spring = partial(EffectSpec, family="stiffness", port="K")  # a force beside the linear spring
 
 _LIMIT = 0.97**2  # of the squared length of the Gent-like spring; above, the force continues linearly
-_SMALL = 0.03  # below, a ratio is replaced by its series, because 0/0 is undefined in float32
-_LOST = 0.97  # of a saturating spring; the remaining 3 % restore it
 
 
 def _gent(p, now):
@@ -43,14 +41,15 @@ def _quadratic(p, now):
 
 
 def _ratio(r, of, series):
-    """Compute of(r) / r - 1, by the given series for small r."""
-    small = jnp.abs(r) < _SMALL
+    """Compute of(r) / r - 1, by the given series for small r, because 0/0 is undefined in float32."""
+    small = jnp.abs(r) < 0.03
     return jnp.where(small, series, of(r) / jnp.where(small, 1.0, r) - 1)
 
 
 def _saturating(p, now):
     r = p.curvature * now.x
-    return _LOST * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
+    # the remaining 3 % of the spring restore it
+    return 0.97 * now.k * now.x * _ratio(r, jnp.tanh, -(r**2) / 3)
 
 
 def _gravity(p, now):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ...common.numbers import figure, shown_unit, with_error, with_interval
 from ...common.quantity import Units, per_second
-from ...common.units import OUTPUT_UNITS, base_unit
+from ...common.units import base_unit, from_base
 from . import CATALOGUE
 
 PLAIN = {
@@ -20,13 +20,12 @@ PLAIN = {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed, so that a name's first form defines it
 _LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here
-_MEANINGS = ("stiffness", "damping", "inertia")
 _FACTOR = " over given"  # of a parameter of the nominal that was refitted
 
 
 def coefficient_meaning(i: int) -> str:
     """Return the name of coefficient a_i by its meaning: `stiffness (a0)`, `damping (a1)`, `inertia (a2)`, `a3`, ..."""
-    return f"{_MEANINGS[i]} (a{i})" if i < len(_MEANINGS) else f"a{i}"
+    return {0: "stiffness (a0)", 1: "damping (a1)", 2: "inertia (a2)"}.get(i, f"a{i}")
 
 
 def plain_words(name: str, units: Units) -> str:
@@ -86,5 +85,5 @@ def _handy(value: float, unit: str, length_unit: str) -> tuple[float, str]:
         return next(p for p in ((1.0, "s"), (1e3, "ms"), (1e6, "µs")) if abs(value) * p[0] >= 0.1 or p[0] > 1e3)
     base, slash, per = unit.partition("/")
     if base == base_unit(length_unit) and base != "V":
-        return 1 / OUTPUT_UNITS[length_unit], f"{shown_unit(length_unit)}{slash}{per}"
+        return from_base(1.0, length_unit), f"{shown_unit(length_unit)}{slash}{per}"
     return 1.0, unit

@@ -5,7 +5,8 @@ They are Python floats, so `eqx.is_inexact_array` skips them: the inexact arrays
 (`programs.jit`), so that models of any scale share one program.
 """
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -13,6 +14,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.core import Tracer
 from jaxtyping import Array, Float
+
+T = TypeVar("T")
 
 
 class Constants(eqx.Module):
@@ -57,6 +60,11 @@ def constant_array(values) -> ConstantArray:
     if isinstance(values, ConstantArray):
         return values
     return ConstantArray(values if isinstance(values, Tracer) else np.asarray(values, np.float32))
+
+
+def map_parameters(function: Callable[[Array], Any], tree: T) -> T:
+    """Apply a function to the parameters of a pytree, its inexact arrays; other leaves stay."""
+    return jax.tree.map(lambda a: function(a) if eqx.is_inexact_array(a) else a, tree)
 
 
 def as_arguments(tree):

@@ -6,6 +6,7 @@ from typing import Literal
 
 import numpy as np
 
+from ...common.numbers import short
 from ...common.quantity import Quantity
 from ..signal.excited import Beyond, Cells, beyond, tabulate
 from ..signal.record import Record
@@ -16,7 +17,6 @@ from .units import units_of
 
 WORTH_A_LINE = 0.1  # fraction of the energy
 Side = Literal["input", "output"]
-_LITTLE = 0.05  # of an amplitude: a smaller trained amplitude does not count as trained
 
 
 def with_excited(origin: Origin, records: Sequence[Record]) -> Origin:
@@ -39,15 +39,16 @@ def untrained_words(model: Model | Fitted, side: Side, part: Beyond) -> str:
     """Describe the untrained part of an input or a target, and the remedy; empty below a tenth of its energy."""
     if part.fraction <= WORTH_A_LINE:
         return ""
-    low, high = _hz(part.low_hz), _hz(part.high_hz)
-    at = "" if part.reached < _LITTLE * part.amplitude else " at this amplitude"
+    low, high = short(part.low_hz), short(part.high_hz)
+    # a trained amplitude below a twentieth does not count as trained
+    at = "" if part.reached < 0.05 * part.amplitude else " at this amplitude"
     size, unit, what = "", getattr(units_of(model), side), "target" if side == "output" else side
     if part.below_hz is not None and part.above_hz is not None:
-        trained = f"up to {_hz(part.below_hz)} Hz and from {_hz(part.above_hz)} Hz{at}"
+        trained = f"up to {short(part.below_hz)} Hz and from {short(part.above_hz)} Hz{at}"
     elif part.below_hz is not None:
-        trained = f"up to {_hz(part.below_hz)} Hz{at}"
+        trained = f"up to {short(part.below_hz)} Hz{at}"
     elif part.above_hz is not None:
-        trained = f"from {_hz(part.above_hz)} Hz{at}"
+        trained = f"from {short(part.above_hz)} Hz{at}"
     else:
         size = f", with amplitudes of up to {_two(unit, part.amplitude)}"
         trained = f"with amplitudes of up to {_two(unit, part.reached)} there"
@@ -68,7 +69,7 @@ def trained_words(model: Model | Fitted) -> str:
     ):
         if table:
             size, low, high = Cells(table, _resonance(fitted)).full()
-            lines.append(f"{what} of up to {_two(unit, size)} in amplitude between {_hz(low)} and {_hz(high)} Hz")
+            lines.append(f"{what} of up to {_two(unit, size)} in amplitude between {short(low)} and {short(high)} Hz")
     if not lines:
         return ""
     return f"The model was trained with {' and '.join(lines)}. Beyond these, the error of this code is not known."
@@ -76,7 +77,3 @@ def trained_words(model: Model | Fitted) -> str:
 
 def _two(unit: Quantity, base: float) -> str:
     return f"{float(f'{float(unit.shown(base)):.2g}'):.6g} {unit.unit}"
-
-
-def _hz(value: float) -> str:
-    return f"{value:.0f}" if value >= 100 else f"{value:.2g}"

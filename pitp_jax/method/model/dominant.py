@@ -13,8 +13,6 @@ Not the least damped pair: a joint at 10 Hz has a gear's mode at 200 Hz that rin
 import numpy as np
 from jaxtyping import Complex, Float
 
-_RINGS = 0.7  # damping below which a pair has a resonance, sqrt(1/2)
-
 
 def nonzero_poles(a: Float[np.ndarray, " tokens"]) -> Complex[np.ndarray, " poles"]:
     """Return the poles (rad/s) for coefficients a_0 ... a_n, without those of integrators."""
@@ -27,7 +25,7 @@ def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
     a = np.nan_to_num(a)  # a diverged model still gets a number; its runs show what is wrong
     roots = nonzero_poles(a)  # an integrator's pole has no damping ratio
     damping = -np.real(roots) / np.abs(roots)
-    pairs = roots[(np.imag(roots) > 0) & (damping < _RINGS)]
+    pairs = roots[(np.imag(roots) > 0) & (damping < 0.7)]  # sqrt(1/2): a pair with less damping has a resonance
     if len(pairs):
         slope = np.polyval(np.polyder(a[::-1]), pairs)
         return float(np.abs(pairs[np.argmin(np.abs(slope))]))

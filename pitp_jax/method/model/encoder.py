@@ -16,15 +16,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PRNGKeyArray
 
-from .constants import ConstantArray, constant_array
+from .constants import ConstantArray, constant_array, map_parameters
 from .positive import logit_of, positive_factor
 from .relu_tables import logits_by_tables
 from .rows import Rows, affine, as_product, vmapped, written_out
 
 # at one instant (vmapped, differentiated) layers are products, over many written out
 Way = Literal["instant", "instants"]
-_NO_BOUND = 1e6  # scaled features are of order one
-_WRITTEN_OUT = 32  # hidden units of a net; above, a matrix product is faster and compiles faster
 
 
 class AbstractEncoder(eqx.Module):
@@ -53,7 +51,7 @@ class AbstractEncoder(eqx.Module):
 
         Training gives these weights a stronger prior, so that the polynomial describes what it can.
         """
-        return jax.tree.map(lambda a: jnp.zeros_like(a) if eqx.is_inexact_array(a) else a, self)
+        return map_parameters(jnp.zeros_like, self)
 
 
 class ConstantEncoder(AbstractEncoder):
@@ -93,7 +91,8 @@ class _Net(eqx.Module):
 def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], Sequence[Rows]]:
     """Return a function from features to the outputs of several nets, each of which sees some of the features."""
     widest = max(len(net.hidden.weight) for net, _ in nets)
-    layer = as_product if way == "instant" or widest > _WRITTEN_OUT else written_out
+    # from 33 hidden units on a matrix product is faster and compiles faster
+    layer = as_product if way == "instant" or widest > 32 else written_out
     layers = [(layer(*affine(net.hidden)), layer(*affine(net.readout)), columns) for net, columns in nets]
     return lambda rows: [
         outer(jax.tree.map(jnp.tanh, inner([rows[c] for c in columns]))) for inner, outer, columns in layers
@@ -165,7 +164,8 @@ class CompactEncoder(AbstractEncoder):
         self.damping_poly = jnp.zeros((order - 1, products), jnp.float32)
         self.fading = jnp.zeros((memories if offset else 0, 3), jnp.float32)
         self.coupling = jnp.zeros((3,), jnp.float32) if frugal else None
-        wide = np.broadcast_to([[-_NO_BOUND], [_NO_BOUND]], (2, order + memories))
+        # scaled features are of order one: the default is no bound
+        wide = np.broadcast_to([[-1e6], [1e6]], (2, order + memories))
         self.bounds = constant_array(wide if bounds is None else bounds)
 
     def __call__(self, features, *, key=None):
@@ -213,9 +213,9 @@ class CompactEncoder(AbstractEncoder):
         """
 
         def outputs(e):
-            readouts = tuple(net.readout for net in (e.spring, e.damping, e.past) if net is not None)
-            common = () if e.coupling is None else (e.coupling,)
-            return (*readouts, e.spring_poly, e.damping_poly, e.fading, *common)
+            readouts = [net.readout for net in (e.spring, e.damping, e.past) if net is not None]
+            parts = *readouts, e.spring_poly, e.damping_poly, e.fading, e.coupling
+            return tuple(part for part in parts if part is not None)
 
         return eqx.tree_at(outputs, self, jax.tree.map(lambda a: factor * a, outputs(self)))
 

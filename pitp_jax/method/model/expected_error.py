@@ -20,9 +20,6 @@ from jaxtyping import Float
 from ..signal.excited import Table
 from .fitted import Fitted
 
-_WINDOWS, _SHORTEST = 8, 64  # windows of a recording, and samples of one, at least
-_STILL = 0.02  # of the largest amplitude: slower and smaller motions count as this
-
 
 class Expected(NamedTuple):
     """The error to expect on a new recording, e_rms in % of range, and its source in words."""
@@ -99,7 +96,8 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
 
 
 def _windows(samples: int) -> list[slice]:
-    edges = np.linspace(0, samples, max(1, min(_WINDOWS, samples // _SHORTEST)) + 1).astype(int)
+    # 8 windows, of at least 64 samples each
+    edges = np.linspace(0, samples, max(1, min(8, samples // 64)) + 1).astype(int)
     return [slice(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
 
 
@@ -116,6 +114,6 @@ def _limited(moves: Float[np.ndarray, "windows two"], largest: float, dt: float)
     """Return frequencies and amplitudes with a lower limit, which a window without motion would not have."""
     hz, size = moves.T
     # the frequency of a motion below the limit is that of its speed over the limit
-    limited = np.maximum(size, _STILL * largest)
+    limited = np.maximum(size, 0.02 * largest)
     # above 0 Hz, because the cells are counted in octaves
     return np.stack([np.maximum(hz * size / limited, 1e-6 / dt), limited], 1)

@@ -44,7 +44,7 @@ class Fitted:
         """Store model and origin; `changes` are fields of the model, as `dataclasses.replace` takes them."""
         # A frozen dataclass with its own initialiser sets its fields in this way.
         object.__setattr__(self, "model", replace(model, **changes) if changes else model)
-        object.__setattr__(self, "origin", Origin() if origin is None else origin)
+        object.__setattr__(self, "origin", origin or Origin())
 
     def __getattr__(self, name: str) -> Any:
         if name == "model" or name.startswith("__"):  # not set yet, or asked for by Python itself

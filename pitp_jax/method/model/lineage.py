@@ -32,8 +32,7 @@ def descended(
         "numpy": np.__version__,
         "python": platform.python_version(),
     }
-    parent = None if parent is None else fitted_of(parent)
-    entry = {"step": step, "versions": versions, "parent": parent, "records": sums(records)}
+    entry = {"step": step, "versions": versions, "parent": parent and fitted_of(parent), "records": sums(records)}
     fitted = fitted_of(model)
     return replace(fitted, origin=replace(fitted.origin, lineage=(*fitted.origin.lineage, entry)))
 

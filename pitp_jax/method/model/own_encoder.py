@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...common.errors import BadInput
+from .constants import map_parameters
 from .encoder import AbstractEncoder, plain
 
 
@@ -52,7 +53,7 @@ class OwnEncoder(AbstractEncoder):
 
     def token_nets(self):
         """Return the encoder with 1 for every weight: it has no polynomial, but may have as many weights as a net."""
-        return jax.tree.map(lambda a: jnp.ones_like(a) if eqx.is_inexact_array(a) else a, self)
+        return map_parameters(jnp.ones_like, self)
 
 
 def as_encoder(given: Any) -> Any:

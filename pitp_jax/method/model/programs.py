@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...common.errors import BadInput
-from .constants import as_arguments
+from .constants import as_arguments, map_parameters
 
 P = ParamSpec("P")
 T = TypeVar("T")
@@ -77,4 +77,4 @@ def double_on_cpu() -> Iterator[None]:
 
 def in_double(tree: T) -> T:
     """Convert the float arrays in a pytree to float64; call it under `jax.enable_x64(True)`."""
-    return jax.tree.map(lambda a: a.astype(jnp.float64) if eqx.is_inexact_array(a) else a, tree)
+    return map_parameters(lambda a: a.astype(jnp.float64), tree)

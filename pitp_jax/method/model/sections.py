@@ -35,8 +35,7 @@ def sections_of(coefficients: np.ndarray) -> tuple[float, ...]:
 def product(values: Rows | Sequence[float]) -> list:
     """Multiply sections: return the ascending coefficients of their product polynomial; the highest one is 1."""
     poly: list = [1.0]  # values may be traced rows, which np.polymul does not accept
-    pairs = [[*values[k : k + 2], 1.0] for k in range(0, len(values) - 1, 2)]
-    for section in pairs + ([[values[-1], 1.0]] if len(values) % 2 else []):
+    for section in ([*values[k : k + 2], 1.0] for k in range(0, len(values), 2)):
         wide: list = [0.0] * (len(poly) + len(section) - 1)
         for i, a in enumerate(poly):
             for k, b in enumerate(section):
