@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.signal import lsim
 
-from pitp_jax.method.identify.output_error import Structure, build_problem, normal_equations, solve
+from pitp_jax.method.identify.output_error import OutputError, Structure, build_problem
 from pitp_jax.method.signal.initial_state import Beginning
 from pitp_jax.method.signal.record import Record
 
@@ -67,7 +67,7 @@ START = np.log([2.3 * DAMPING * OMEGA, 1.1 * OMEGA**2])
 
 
 def test_gain_offsets_and_initial_states_solve_the_dense_problem(recorded):
-    solved = solve(START, Structure(2), dense(recorded, START, 0.0)[2])
+    solved = OutputError(START, Structure(2), dense(recorded, START, 0.0)[2]).solved
     truth, factors = cost(recorded, START)
     np.testing.assert_allclose(solved.gains, factors[:3], rtol=1e-7)
     np.testing.assert_allclose(np.abs(np.concatenate(solved.own)), np.abs(factors[3:]), rtol=1e-6)
@@ -75,7 +75,7 @@ def test_gain_offsets_and_initial_states_solve_the_dense_problem(recorded):
 
 
 def test_the_gradient_is_the_slope_of_the_cost(recorded):
-    found = normal_equations(START, Structure(2), dense(recorded, START, 0.0)[2])
+    found = OutputError(START, Structure(2), dense(recorded, START, 0.0)[2]).normal_equations()
     slopes = [(cost(recorded, START + h)[0] - cost(recorded, START - h)[0]) / 2e-5 for h in 1e-5 * np.eye(2)]
     np.testing.assert_allclose(2 * found.gradient, slopes, rtol=1e-6)
 
@@ -83,7 +83,7 @@ def test_the_gradient_is_the_slope_of_the_cost(recorded):
 def test_the_hessian_predicts_the_residual_beside_the_minimum(recorded):
     """For residuals that are small, H is the second derivative of half the cost."""
     at = np.log([2 * DAMPING * OMEGA, OMEGA**2])
-    found, step = normal_equations(at, Structure(2), dense(recorded, at, 0.0)[2]), 1e-3
+    found, step = OutputError(at, Structure(2), dense(recorded, at, 0.0)[2]).normal_equations(), 1e-3
     away = [[cost(recorded, at + step * (s * a + t * b))[0] for s, t in ((1, 1), (1, -1), (-1, 1), (-1, -1))]
             for a, b in ((np.eye(2)[i], np.eye(2)[j]) for i in range(2) for j in range(2))]  # fmt: skip
     second = [(pp - pm - mp + mm) / (4 * step**2) for pp, pm, mp, mm in away]

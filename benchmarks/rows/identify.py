@@ -18,7 +18,7 @@ from scipy.signal import cont2discrete, lfilter
 import pitp_jax as pitp
 from pitp_jax.application.demo import protocol
 from pitp_jax.method.identify.linear_ode import logs_from_roots
-from pitp_jax.method.identify.output_error import Structure, build_problem, least_squares, solve
+from pitp_jax.method.identify.output_error import OutputError, Structure, build_problem, least_squares
 from pitp_jax.method.signal.initial_state import Beginning
 
 from ..clock import row, take_turns
@@ -39,8 +39,8 @@ def by_projection(record, near: np.ndarray) -> np.ndarray:
     problem = build_problem([record], "square", [Beginning("rest", 1.0, 0.0, np.inf, free=True)])
     structure = Structure(2)
     params, *_ = least_squares(logs_from_roots(np.roots((near * START)[::-1])), structure, problem)
-    solved = solve(params, structure, problem)
-    return record.displacement - problem.scale * solved.residuals[0]
+    residual = OutputError(params, structure, problem).solved.residuals[0]
+    return record.displacement - problem.scale * residual
 
 
 def by_scipy(record, near: np.ndarray) -> np.ndarray:

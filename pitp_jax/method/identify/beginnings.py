@@ -24,8 +24,8 @@ from ..signal.reduced import averaged, block_size
 from ..signal.start import Response, estimate_start, first_part
 from .linear_ode import bounded, coast, logs_from_roots, polynomial, respond
 from .linear_ode import poles as modes
-from .output_error import FASTEST, Problem, Structure, build_problem, driven, least_squares, own_columns, solve
-from .starts import cost_of, guesses
+from .output_error import FASTEST, OutputError, Problem, Structure, build_problem, least_squares
+from .starts import guesses
 
 _PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
 _MOST = 100_000  # samples used to find the poles
@@ -90,7 +90,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
     for roots in guesses(_STRUCTURE.order, problem):
         logs = bounded(logs_from_roots(roots), 0.0, FASTEST / problem.fine)
         same = _directed(logs, problem)
-        scored.append((cost_of(logs, _STRUCTURE, same), logs, same))
+        scored.append((OutputError(logs, _STRUCTURE, same).cost, logs, same))
     fits = [_fitted(logs, same) for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]]
     return min((fit for fit in fits if fit), key=lambda fit: fit[0], default=None)
 
@@ -98,7 +98,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
     """Fit a second-order model; return mean square residual, log pole coefficients (rad/s), gain (m per V^2 or V)."""
     logs, cost, _ = least_squares(start, _STRUCTURE, problem)
-    gain = float(solve(logs, _STRUCTURE, problem).gains[0]) * problem.scale
+    gain = float(OutputError(logs, _STRUCTURE, problem).solved.gains[0]) * problem.scale
     return (cost, (logs, gain)) if np.isfinite(cost) else None
 
 
@@ -107,8 +107,8 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     gains: list[float] = []
     if len(problem.drive) == 1:
         return problem
-    runs, (free, _) = driven(logs, _STRUCTURE, problem), own_columns(logs, _STRUCTURE, problem)
-    for unit, own, output, weight in zip(runs, free, problem.output, problem.weight, strict=True):
+    error = OutputError(logs, _STRUCTURE, problem)
+    for unit, own, output, weight in zip(error.runs, error.free[0], problem.output, problem.weight, strict=True):
         columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), own])
         gains.append(project(weight * output, columns)[0][0] * np.std(unit))
     most = 1.0 if np.sum(gains) >= 0 else -1.0

@@ -20,7 +20,7 @@ from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
 from .linear_ode import logs_from_roots
 from .order_fit import identifiable
-from .output_error import Problem, Structure, least_squares, poles_of
+from .output_error import OutputError, Problem, Structure, least_squares
 from .rational_fit import fit_rational
 from .starts import best_starts, guesses, one_more
 
@@ -88,7 +88,7 @@ def without_spring(candidates: Sequence[Candidate], problem: Problem, holds: Seq
     """Return a candidate with a pole at 0 for each whose slowest pole turns less than 1 rad in the records."""
     found = []
     for c in candidates:
-        known = poles_of(c.params, c.structure)
+        known = c.on(problem).poles
         slowest = np.argmin(np.abs(known))
         if np.abs(known[slowest]) * problem.seconds > 1:
             continue
@@ -109,7 +109,7 @@ def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
     params, cost, converged = end
     with np.errstate(all="ignore"):
         return Candidate(structure, params, cost, converged, held_out(params, structure, problem),
-                         identifiable(params, structure, problem, converged))  # fmt: skip
+                         identifiable(OutputError(params, structure, problem), converged))  # fmt: skip
 
 
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:

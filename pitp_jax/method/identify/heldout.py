@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..model.origin import OutOfFold
-from .output_error import Problem, Structure, driven, least_squares, masked, own_columns, solve
+from .output_error import OutputError, Problem, Structure, least_squares, masked
 
 _FOLDS = 3
 
@@ -47,6 +47,10 @@ class Candidate:
     heldout: HeldOut
     known: bool
 
+    def on(self, problem: Problem) -> OutputError:
+        """Return the output error of this candidate on a problem's records."""
+        return OutputError(self.params, self.structure, problem)
+
     @property
     def score(self) -> float:
         """Return the held-out error as a fraction of the output's deviation, at least 0.1 %."""
@@ -78,13 +82,12 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
         numbers = [np.repeat(np.arange(3 * _FOLDS) - k - fold, np.diff(e)) for k, e in enumerate(edges)]
         rest = masked(problem, [n % _FOLDS > 0 for n in numbers])
         # start from the fit of all samples; a few steps undo the influence of the third left out
-        refitted = least_squares(params, structure, rest, 4, 1e-3)[0]
-        solved = solve(refitted, structure, rest)
-        runs, (free, rings) = driven(refitted, structure, problem), own_columns(refitted, structure, problem)
+        error_of_rest = OutputError(least_squares(params, structure, rest, 4, 1e-3)[0], structure, rest)
+        solved, (free, rings) = error_of_rest.solved, error_of_rest.free
         for k, e in enumerate(edges):
             # a real mode's free response is drift or creep and continues; a ringing mode gets no credit
             sizes = solved.own[k] * ~rings[: len(solved.own[k])]
-            run = solved.gains[0] * runs[k] + free[k] @ sizes
+            run = solved.gains[0] * error_of_rest.runs[k] + free[k] @ sizes
             for j in range((fold + k) % _FOLDS, 3 * _FOLDS, _FOLDS):
                 block = slice(*e[j : j + 2])
                 weight = problem.weight[k][block].copy()

@@ -43,7 +43,7 @@ from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_r
 from .heldout import Candidate, out_of_fold
 from .numerator import needed_zeros
 from .order_fit import OrderFit, covariance, describe, zero_of
-from .output_error import Problem, build_problem, check_motion, driven, least_squares, own_columns, solve
+from .output_error import OutputError, Problem, build_problem, check_motion, least_squares
 from .remarks import UNSTABLE, refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
@@ -234,16 +234,15 @@ def _identified(
     if not fit.poles_known:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
         raise ComputationFailed(why)
-    begun = _coloured(records, begun, fit, chosen, whole)
+    begun = _coloured(records, begun, fit, chosen.on(whole))
     whole = replace(whole, beginnings=tuple(begun))
-    fit = describe(chosen, whole)
+    fit, error = describe(chosen, whole), chosen.on(whole)
     # of each order the candidates that the records determine, then the one that predicts best
     best = [min((c for c in candidates if c.structure.order == n), key=lambda c: (not c.known, c.score))
             for n in sorted({c.structure.order for c in candidates})]  # fmt: skip
     orders = tuple(fit if c.structure.order == fit.order else describe(c, whole) for c in best)
-    begun = _fitted(begun, chosen, whole)
-    own, tested = out_of_fold(chosen.heldout, small), residual_test(chosen.params, chosen.structure, whole)
-    errors = _errors(chosen, whole)
+    begun = _fitted(begun, error)
+    own, tested, errors = out_of_fold(chosen.heldout, small), residual_test(error), _errors(error)
     explained, warning = explains(chosen, candidates, whole)
     wrong = _wrong_structure(records, chosen, small, response)
     said = () if wrong else tuple(remarks(fit, chosen, small, every=order == "auto"))
@@ -361,48 +360,43 @@ def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, band
 
 
 def _coloured(
-    records: Sequence[Record], begun: Sequence[Beginning], fit: OrderFit, chosen: Candidate, problem: Problem
+    records: Sequence[Record], begun: Sequence[Beginning], fit: OrderFit, error: OutputError
 ) -> list[Beginning]:
     """Return initial states whose offsets measured at rest have a standard error that includes slow noise.
 
     Noise is slow if its fifth difference over some samples exceeds that over one. A smooth model error has no such
     effect: at 30 samples a period its fifth difference is 2e-5 of it, and 5e-3 of its third harmonic.
     """
+    problem = error.problem
     apart = int(np.clip(1 / (30 * max(fit.natural_hz[0], 1 / problem.seconds) * problem.dt), 1, 4))
     found = []
-    residuals = solve(chosen.params, chosen.structure, problem).residuals
-    for record, b, residual in zip(records, begun, residuals, strict=True):
+    for record, b, residual in zip(records, begun, error.solved.residuals, strict=True):
         slow = noise_std(residual[::apart]) > apart**0.25 * noise_std(residual)  # white: 1, a random walk: sqrt(apart)
         if slow and b.begins == "rest" and not b.free:
             alike = sum(other.group == b.group for other in begun)
-            error = rest_level(record, problem.scale * residual)[1] / np.sqrt(alike)
-            b = replace(b, stderr=max(b.stderr, float(error)))
+            stderr = rest_level(record, problem.scale * residual)[1] / np.sqrt(alike)
+            b = replace(b, stderr=max(b.stderr, float(stderr)))
         found.append(b)
     return found
 
 
-def _fitted(begun: Sequence[Beginning], chosen: Candidate, problem: Problem) -> list[Beginning]:
+def _fitted(begun: Sequence[Beginning], error: OutputError) -> list[Beginning]:
     """Return initial states with the fitted sensor offsets (output unit), directions and standard errors."""
-    gains = solve(chosen.params, chosen.structure, problem).gains
-    polarity = float(np.sign(gains[0]) or 1.0)
-    first = chosen.structure.moved + 1
-    variance = np.diag(covariance(chosen.params, chosen.structure, problem))[first : first + problem.free_zeros]
+    problem, first = error.problem, error.structure.moved + 1
+    polarity = float(np.sign(error.solved.gains[0]) or 1.0)
+    variance = np.diag(covariance(error))[first : first + problem.free_zeros]
     errors, fitted = problem.scale * np.sqrt(np.clip(variance, 0, None)), []
     for k, b in enumerate(begun):
         stderr = float(errors[problem.zeros[k]]) if b.free else b.stderr
-        fitted.append(
-            replace(b, direction=polarity * b.direction, zero=zero_of(k, gains, problem), stderr=stderr, free=False)
-        )
+        fitted.append(replace(b, direction=polarity * b.direction, zero=zero_of(k, error), stderr=stderr, free=False))
     return fitted
 
 
-def _errors(chosen: Candidate, problem: Problem) -> Table:
+def _errors(fit: OutputError) -> Table:
     """Tabulate the errors on the records; a settled record has the sensor offset of its start, as in a prediction."""
-    responses = driven(chosen.params, chosen.structure, problem)
-    free, _ = own_columns(chosen.params, chosen.structure, problem)
-    solved, errors = solve(chosen.params, chosen.structure, problem, responses), []
+    problem, solved, errors = fit.problem, fit.solved, []
     runs = [problem.scale * (solved.gains[0] * run + own @ sizes)
-            for run, own, sizes in zip(responses, free, solved.own, strict=True)]  # fmt: skip
+            for run, own, sizes in zip(fit.runs, fit.free[0], solved.own, strict=True)]  # fmt: skip
     for residual, weight, drive, b in zip(
         solved.residuals, problem.weight, problem.drive, problem.beginnings, strict=True
     ):

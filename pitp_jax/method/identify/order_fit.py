@@ -20,7 +20,7 @@ from ..model.model import Hold
 from ..numerics.coloured_noise import project
 from .heldout import Candidate
 from .linear_ode import pole_slopes, polynomial, polynomial_slopes
-from .output_error import FASTEST, Problem, Structure, gram_of, inverse, jacobians, own_columns, poles_of, solve
+from .output_error import FASTEST, OutputError, Problem, gram_of, inverse
 
 _BLOCKS, _IN_A_ROW = 64, 4
 _BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
@@ -80,24 +80,22 @@ class OrderFit(Shown):
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
-    structure, params = candidate.structure, candidate.params
-    n, poles = structure.moved, poles_of(params, structure)
-    solved, spread = solve(params, structure, problem), covariance(params, structure, problem)
+    error, structure = candidate.on(problem), candidate.structure
+    n, poles, solved, spread = structure.moved, error.poles, error.solved, covariance(error)
     residual = np.concatenate(solved.residuals) * problem.scale
-    coefficients, jacobian = _physical(params, float(solved.gains[0]), structure, problem)
+    coefficients, jacobian = _physical(error)
     main = spread[: n + 1, : n + 1]
     of_coefficients = jacobian @ main @ jacobian.T
     stderr = np.sqrt(np.clip(np.diag(of_coefficients), 0, None))
     stderr[: structure.integrates] = coefficients[0]
-    determined, static = _determined(poles, spread, problem)
+    determined, static = _determined(error, spread)
     known = candidate.converged and determined
     hidden = [0] * structure.integrates + [1] * static
     upper = np.flatnonzero(np.imag(poles) >= 0)
     upper = upper[np.argsort(np.abs(poles[upper]))]
     size, angle = np.abs(poles[upper]), np.angle(poles[upper])  # of a pole at -0: pi
     # d |p| = Re(p* dp) / |p|
-    rates = np.real(np.exp(-1j * angle)[:, None] * pole_slopes(structure.logs(params))[upper, :n])
-    delay = float(np.exp(params[-1])) if structure.delayed else 0.0
+    rates = np.real(np.exp(-1j * angle)[:, None] * pole_slopes(error.logs)[upper, :n])
     return OrderFit(
         order=structure.order,
         hold=structure.hold,
@@ -110,26 +108,27 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         natural_hz=size / (2 * np.pi),
         damping=-np.cos(angle),
         natural_stderr=np.sqrt(np.clip(np.diag(rates @ main[:n, :n] @ rates.T), 0, None)) / (2 * np.pi),
-        offset=zero_of(problem.main, solved.gains, problem),
+        offset=zero_of(problem.main, error),
         polarity=float(np.sign(solved.gains[0]) or 1.0),
         converged=candidate.converged,
         poles_known=known,
         identifiable=known and bool(np.delete(stderr < np.abs(coefficients), hidden).all()),
         static=static,
         integrates=structure.integrates,
-        delay=delay,
-        delay_stderr=delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if structure.delayed else 0.0,
-        input_offset=structure.offset(params),
+        delay=error.delay,
+        delay_stderr=error.delay * float(np.sqrt(max(spread[-1, -1], 0.0))) if error.delay else 0.0,
+        input_offset=structure.offset(error.params),
     )
 
 
-def identifiable(params: np.ndarray, structure: Structure, problem: Problem, converged: bool) -> bool:
+def identifiable(error: OutputError, converged: bool) -> bool:
     """Return whether the records determine the poles of this fit, as `OrderFit.poles_known` defines it."""
-    return converged and _determined(poles_of(params, structure), covariance(params, structure, problem), problem)[0]
+    return converged and _determined(error, covariance(error))[0]
 
 
-def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tuple[bool, bool]:
+def _determined(error: OutputError, spread: np.ndarray) -> tuple[bool, bool]:
     """Return two answers: are the poles determined, is the plant static."""
+    poles, problem = error.poles, error.problem
     errors, fastest = np.sqrt(np.clip(np.diag(spread), 0, None)), np.abs(poles).max()
     is_open = bool((errors[: np.count_nonzero(poles)] >= _KNOWN).any())
     least = 1 / problem.seconds if is_open else _BEYOND / problem.fine
@@ -137,15 +136,17 @@ def _determined(poles: np.ndarray, spread: np.ndarray, problem: Problem) -> tupl
     return static or not is_open and bool(fastest <= 0.97 * FASTEST / problem.fine), static
 
 
-def zero_of(record: int, gains: np.ndarray, problem: Problem) -> float:
+def zero_of(record: int, error: OutputError) -> float:
     """Return the sensor offset of a record, in the output's unit."""
-    group, b = problem.zeros[record], problem.beginnings[record]
-    return float(b.zero + (problem.scale * gains[1 + group] if group >= 0 else 0.0))
+    problem = error.problem
+    fitted = error.solved.gains[problem.numbers()[record][1:]]  # none or one
+    return float(problem.beginnings[record].zero + problem.scale * fitted.sum())
 
 
-def _physical(params, gain: float, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+def _physical(error: OutputError) -> tuple[np.ndarray, np.ndarray]:
     """Return the coefficients of sum a_i x^(i) = F in physical units, and their derivatives by logarithms and gain."""
-    logs, first = structure.logs(params), int(structure.integrates)
+    logs, structure, problem, gain = error.logs, error.structure, error.problem, float(error.solved.gains[0])
+    first = int(structure.integrates)
     logs = np.maximum(logs, np.log(_UNSEEN / problem.seconds)) if first else logs
     poly, slopes = polynomial(logs), polynomial_slopes(logs)[:, : structure.moved]
     unit = poly[first] * abs(gain) * problem.scale
@@ -153,18 +154,18 @@ def _physical(params, gain: float, structure: Structure, problem: Problem) -> tu
     return a, np.column_stack([(slopes - np.outer(poly, slopes[first] / poly[first])) / unit, -a / gain])
 
 
-def covariance(params: np.ndarray, structure: Structure, problem: Problem) -> Float[np.ndarray, "numbers numbers"]:
+def covariance(error: OutputError) -> Float[np.ndarray, "numbers numbers"]:
     """Return the covariance of (log pole coefficients, gain, fitted sensor offsets, log delay); see the file's head."""
-    n, (solved, slopes) = structure.moved, jacobians(params, structure, problem)
-    linear, free = 1 + problem.free_zeros, own_columns(params, structure, problem)[0]
-    order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + len(params))]
+    problem, count, (solved, slopes) = error.problem, len(error.params), error.jacobians()
+    linear, n = 1 + problem.free_zeros, error.structure.moved
+    order = [*range(linear, linear + n), *range(linear), *range(linear + n, linear + count)]
     # of every record, the places of its numbers in this order
-    places = [np.argsort(order)[at] for at in problem.numbers(len(params))]
+    places = [np.argsort(order)[at] for at in problem.numbers(count)]
     slopes = [slope[:, : len(weight)] for slope, weight in zip(slopes, problem.weight, strict=True)]
     hessian, size = gram_of(slopes, places), len(order)
     scores, by_zero = np.zeros((_BLOCKS, size)), {b.group: np.zeros(size) for b in problem.beginnings}
     cost, seen = 0.0, 0.0
-    series = slopes, places, solved.residuals, problem.weight, free, problem.beginnings
+    series = slopes, places, solved.residuals, problem.weight, error.free[0], problem.beginnings
     for slope, at, residual, weight, own, b in zip(*series, strict=True):
         one = project(b.direction * weight, own * weight[:, None])[1]
         # dp = H^-1 J'w dz: the change caused by an error of the offset measured at rest

@@ -13,6 +13,7 @@ rms.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -177,122 +178,157 @@ def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequenc
     )  # fmt: skip
 
 
-def poles_of(params: np.ndarray, structure: Structure) -> Complex[np.ndarray, " poles"]:
-    """Return the fitted poles, rad/s."""
-    return poles(structure.logs(params))
+@dataclass(frozen=True)
+class OutputError:
+    """The output error of a linear ODE at given parameters, over all records of a problem."""
 
+    params: Float[np.ndarray, " parameters"]
+    structure: Structure
+    problem: Problem
 
-def driven(params: np.ndarray, structure: Structure, problem: Problem) -> list[Float[np.ndarray, " time"]]:
-    """Simulate the response of every record to its input, with unit static gain, shapes (T_r,)."""
-    logs, drive, how = _inputs(params, structure, problem)
-    return np.split(respond(logs, drive, **how), problem.heads[1:])
+    @property
+    def logs(self) -> Float[np.ndarray, " order"]:
+        """Return the logarithms of the pole coefficients."""
+        return self.structure.logs(self.params)
 
+    @property
+    def poles(self) -> Complex[np.ndarray, " poles"]:
+        """Return the poles, rad/s."""
+        return poles(self.logs)
 
-def driven_slopes(params: np.ndarray, structure: Structure, problem: Problem) -> list[Float[np.ndarray, "rows time"]]:
-    """Simulate the response of every record; return it and, in the rows below it, its derivatives by the parameters."""
-    logs, drive, how = _inputs(params, structure, problem)
-    run, slopes, rate = respond_with_slopes(logs, drive, **how)
-    rows = [run, *slopes[: structure.moved]]
-    rows += [respond(logs, np.ones_like(drive), **how)] if structure.integrates else []
-    rows += [-np.exp(params[-1]) * rate] if structure.delayed else []
-    return np.split(np.stack(rows), problem.heads[1:], axis=-1)
+    @property
+    def delay(self) -> float:
+        """Return the delay, s."""
+        return float(np.exp(self.params[-1])) if self.structure.delayed else 0.0
 
+    @cached_property
+    def runs(self) -> list[Float[np.ndarray, " time"]]:
+        """Return the response of every record to its input, with unit static gain, shapes (T_r,)."""
+        return np.split(respond(self.logs, self._drive, **self._how), self.problem.heads[1:])
 
-def _inputs(params: np.ndarray, structure: Structure, problem: Problem) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Return the arguments of `respond`: logarithms, input of all records, and how it acts."""
-    late, hold = float(np.exp(params[-1])) / problem.dt if structure.delayed else 0.0, structure.hold
-    if problem.fine < problem.dt:  # block means are smooth; of a held input they are half a fine sample early
-        late, hold = late + (problem.fine / problem.dt / 2 if hold == "zoh" else 0.0), "cubic"
-    # without a spring nothing settles
-    settled = np.array([b.begins != "rest" and not structure.integrates for b in problem.beginnings])
-    how = {"step": problem.dt, "square": problem.square, "hold": hold, "settled": settled, "late": late}
-    drive = np.concatenate(problem.drive) + structure.offset(params)
-    return structure.logs(params), drive, {**how, "heads": problem.heads}
+    def _runs_with_slopes(self) -> list[Float[np.ndarray, "rows time"]]:
+        """Simulate the response of every record; in the rows below it stand its derivatives by the parameters."""
+        run, slopes, rate = respond_with_slopes(self.logs, self._drive, **self._how)
+        rows = [run, *slopes[: self.structure.moved]]
+        if self.structure.integrates:
+            rows.append(respond(self.logs, np.ones_like(run), **self._how))
+        if self.structure.delayed:
+            rows.append(-self.delay * rate)
+        return np.split(np.stack(rows), self.problem.heads[1:], axis=-1)
 
+    @property
+    def _drive(self) -> Float[np.ndarray, " samples"]:
+        return np.concatenate(self.problem.drive) + self.structure.offset(self.params)
 
-def own_columns(params: np.ndarray, structure: Structure, problem: Problem) -> tuple[list[np.ndarray], np.ndarray]:
-    """Return the free responses of every record, shapes (T_r, columns), and which columns oscillate.
+    @property
+    def _how(self) -> dict:
+        """Return how the input acts: sampling interval, input map, hold, initial states, delay (`respond`)."""
+        p, late, hold = self.problem, self.delay / self.problem.dt, self.structure.hold
+        if p.fine < p.dt:  # block means are smooth; of a held input they are half a fine sample early
+            late, hold = late + (hold == "zoh") * p.fine / p.dt / 2, "cubic"
+        # without a spring nothing settles
+        settled = np.array([b.begins != "rest" and not self.structure.integrates for b in p.beginnings])
+        return {"step": p.dt, "square": p.square, "hold": hold, "settled": settled, "late": late, "heads": p.heads}
 
-    A record has no such columns unless it starts moving.
-    """
-    moving = [b.begins == "moving" for b in problem.beginnings]
-    longest = max(len(drive) * begins for drive, begins in zip(problem.drive, moving, strict=True))
-    free, rings = coast(structure.logs(params), longest, step=problem.dt)
-    none = np.zeros((max(map(len, problem.drive)), 0))
-    parts = [(free if begins else none)[: len(drive)] for drive, begins in zip(problem.drive, moving, strict=True)]
-    return parts, rings
+    @cached_property
+    def free(self) -> tuple[list[Float[np.ndarray, "time columns"]], np.ndarray]:
+        """Return every record's own columns, its free responses, and which of them oscillate.
 
+        A record has none unless it starts moving.
+        """
+        moving = [len(drive) * (b.begins == "moving")
+                  for drive, b in zip(self.problem.drive, self.problem.beginnings, strict=True)]  # fmt: skip
+        columns, rings = coast(self.logs, max(moving), step=self.problem.dt)
+        none = np.zeros((max(map(len, self.problem.drive)), 0))
+        parts = [columns[:samples] if samples else none[: len(drive)]
+                 for samples, drive in zip(moving, self.problem.drive, strict=True)]  # fmt: skip
+        return parts, rings
 
-def _own_slopes(params: np.ndarray, structure: Structure, problem: Problem, own: np.ndarray, sizes: np.ndarray):
-    """Return derivatives of a free response (columns `own`, amplitudes `sizes`) by the parameters, (parameters, T)."""
-    time, slopes = np.arange(len(own)) * problem.dt, np.zeros((len(params), len(own)))
-    at, moves = 0, pole_slopes(structure.logs(params))[:, : structure.moved]
-    for pole, move in zip(poles_of(params, structure), moves, strict=True):
-        if pole.imag < 0:
-            continue
-        width = 2 if pole.imag else 1
-        # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), whose derivative by p is t times as large
-        turn = np.array([1, 1j])[:width]
-        mode, size = own[:, at : at + width] @ turn, sizes[at : at + width] @ turn.conj()
-        at += width
-        slopes[: structure.moved] += np.real(move[:, None] * (size * time * mode))
-    return slopes
+    def _own_slopes(self, columns: np.ndarray, sizes: np.ndarray) -> Float[np.ndarray, "parameters time"]:
+        """Return the derivatives of a free response (own columns and their sizes) by the parameters."""
+        time, slopes = np.arange(len(columns)) * self.problem.dt, np.zeros((len(self.params), len(columns)))
+        at, moves = 0, pole_slopes(self.logs)[:, : self.structure.moved]
+        for pole, move in zip(self.poles, moves, strict=True):
+            if pole.imag < 0:
+                continue
+            # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), whose derivative by p is t times as large
+            turn = np.array([1, 1j])[: 1 + (pole.imag > 0)]
+            mode, size = (v[..., at : at + len(turn)] for v in (columns, sizes))
+            at += len(turn)
+            slopes[: self.structure.moved] += np.real(move[:, None] * (size @ turn.conj() * time * (mode @ turn)))
+        return slopes
 
+    @cached_property
+    def solved(self) -> Solved:
+        """Return gain, sensor offsets and initial states, by linear least squares."""
+        return self._solved(self.runs)
 
-def solve(
-    params: np.ndarray, structure: Structure, problem: Problem, runs: Sequence[np.ndarray] | None = None
-) -> Solved:
-    """Solve for gain, sensor offsets and initial states at given poles, by linear least squares.
+    def _solved(self, runs: Sequence[np.ndarray]) -> Solved:
+        rows = [self._linear(k, run, output)
+                for k, (run, output) in enumerate(zip(runs, self.problem.output, strict=True))]  # fmt: skip
+        places, parts = [np.append(at, -1) for at in self.problem.numbers()], []  # the last one is y
+        whole = np.zeros((2 + self.problem.free_zeros, 2 + self.problem.free_zeros))
+        for row, at in zip(rows, places, strict=True):
+            gram, n = row @ row.T, len(row) - len(at)
+            # eliminate the record's own c = (N'N)^-1 N'(y - G g), so that only g is common (Schur complement)
+            own = inverse(gram[:n, :n]) @ gram[:n, n:]
+            whole[at[:, None], at] += gram[n:, n:] - gram[n:, :n] @ own
+            parts.append(own)
+        gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
+        sizes = [own @ np.append(-gains[at[:-1]], 1.0) for own, at in zip(parts, places, strict=True)]
+        errors = [
+            row[-1] - np.append(c, gains[at[:-1]]) @ row[:-1] for row, c, at in zip(rows, sizes, places, strict=True)
+        ]
+        return Solved(gains, tuple(sizes), tuple(errors))
 
-    `runs`: the responses to the inputs, if they are known already.
-    """
-    runs = driven(params, structure, problem) if runs is None else runs
-    free, _ = own_columns(params, structure, problem)
-    rows = [_linear(problem, *part) for part in zip(range(len(runs)), free, runs, problem.output, strict=True)]
-    places, parts = [np.append(at, -1) for at in problem.numbers()], []  # the last one is y
-    whole = np.zeros((2 + problem.free_zeros, 2 + problem.free_zeros))
-    for row, at in zip(rows, places, strict=True):
-        gram, n = row @ row.T, len(row) - len(at)
-        # eliminate the record's own c = (N'N)^-1 N'(y - G g), so that only g is common (Schur complement)
-        own = inverse(gram[:n, :n]) @ gram[:n, n:]
-        whole[at[:, None], at] += gram[n:, n:] - gram[n:, :n] @ own
-        parts.append(own)
-    gains = inverse(whole[:-1, :-1]) @ whole[:-1, -1]
-    sizes = [own @ np.append(-gains[at[:-1]], 1.0) for own, at in zip(parts, places, strict=True)]
-    errors = [row[-1] - np.append(c, gains[at[:-1]]) @ row[:-1] for row, c, at in zip(rows, sizes, places, strict=True)]
-    return Solved(gains, tuple(sizes), tuple(errors))
+    def _linear(self, k: int, run: np.ndarray, others: np.ndarray) -> np.ndarray:
+        """Return the weighted rows of record k: free responses, response, its fitted offset if any, and the others.
 
+        They end with as many samples as it has free responses: the ridge, as measurements of 0.
+        """
+        p, own = self.problem, self.free[0][k]
+        weight, n = p.weight[k], own.shape[1]
+        rows = np.vstack([own.T, run, np.full((int(p.zeros[k] >= 0), len(weight)), p.beginnings[k].direction), others])
+        rows *= weight
+        return np.hstack([rows, np.eye(len(rows), n) * (_RIDGE * np.sqrt(weight.sum()))]) if n else rows
 
-def _linear(problem: Problem, k: int, own: np.ndarray, run: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return the weighted rows of record k: free responses, response, its fitted offset if any, and the others.
+    def jacobians(self) -> tuple[Solved, list[Float[np.ndarray, "numbers rows"]]]:
+        """Return the solution and each record's weighted derivatives by its `Problem.numbers`.
 
-    They end with as many samples as it has free responses: the ridge, as measurements of 0.
-    """
-    weight, n = problem.weight[k], own.shape[1]
-    one = np.full((int(problem.zeros[k] >= 0), len(weight)), problem.beginnings[k].direction)
-    rows = np.vstack([own.T, run, one, others])
-    rows *= weight
-    return np.hstack([rows, np.eye(len(rows), n) * (_RIDGE * np.sqrt(weight.sum()))]) if n else rows
+        A record's own columns are projected out; the ridge's derivatives come last.
+        """
+        runs, projected = self._runs_with_slopes(), []
+        solved = self._solved([run[0] for run in runs])
+        for k, (run, sizes) in enumerate(zip(runs, solved.own, strict=True)):
+            slopes, n = solved.gains[0] * run[1:], len(sizes)  # d(g x) / dp at constant g: g's own slope is x itself
+            if n:
+                slopes = slopes + self._own_slopes(self.free[0][k], sizes)
+            rows = self._linear(k, run[0], slopes)
+            columns, rest = rows[:n], rows[n:]
+            # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
+            projected.append(rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns if n else rest)
+        return solved, projected
 
+    @property
+    def cost(self) -> float:
+        """Return the sum of squares of the residual; infinite if the response diverges."""
+        with np.errstate(all="ignore"):
+            cost = float(self.solved.rows @ self.solved.rows)
+        return cost if np.isfinite(cost) else np.inf
 
-def jacobians(
-    params: np.ndarray, structure: Structure, problem: Problem
-) -> tuple[Solved, list[Float[np.ndarray, "numbers rows"]]]:
-    """Solve at given poles; return the solution and each record's weighted derivatives by its `Problem.numbers`.
-
-    A record's own columns are projected out; the ridge's derivatives come last.
-    """
-    runs, (free, _) = driven_slopes(params, structure, problem), own_columns(params, structure, problem)
-    solved, projected = solve(params, structure, problem, [run[0] for run in runs]), []
-    for k, (run, own, sizes) in enumerate(zip(runs, free, solved.own, strict=True)):
-        slopes, n = solved.gains[0] * run[1:], len(sizes)  # d(g x) / dp at constant g: g's own slope is x itself
-        if n:
-            slopes = slopes + _own_slopes(params, structure, problem, own, sizes)
-        rows = _linear(problem, k, own, run[0], slopes)
-        columns, rest = rows[:n], rows[n:]
-        # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
-        projected.append(rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns if n else rest)
-    return solved, projected
+    def normal_equations(self) -> Normal:
+        """Return the sum of squares, half its gradient and J'J, as in Kaufman (1975)."""
+        with np.errstate(all="ignore"):
+            solved, slopes = self.jacobians()
+            here, n = solved.rows, len(self.params)
+            if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
+                return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
+            linear, gram = 1 + self.problem.free_zeros, gram_of(slopes, self.problem.numbers(n))
+            # Kaufman: only the part of the projector's derivative that remains when the residual is small
+            factors = gram[linear:, :linear] @ inverse(gram[:linear, :linear])
+            places = self.problem.numbers()
+            moved = np.hstack([j[-n:] - factors[:, at] @ j[:-n] for j, at in zip(slopes, places, strict=True)])
+            return Normal.of(here @ here, -moved @ here, moved @ moved.T)
 
 
 def gram_of(rows: Sequence[np.ndarray], numbers: Sequence[np.ndarray]) -> np.ndarray:
@@ -315,20 +351,6 @@ def inverse(gram: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(root, root)
 
 
-def normal_equations(params: np.ndarray, structure: Structure, problem: Problem) -> Normal:
-    """Return the sum of squares, half its gradient and J'J of the output error, as in Kaufman (1975)."""
-    with np.errstate(all="ignore"):
-        solved, slopes = jacobians(params, structure, problem)
-        here, n = solved.rows, len(params)
-        if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
-            return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
-        linear, gram = 1 + problem.free_zeros, gram_of(slopes, problem.numbers(n))
-        # Kaufman: only the part of the projector's derivative that remains when the residual is small
-        factors = gram[linear:, :linear] @ inverse(gram[:linear, :linear])
-        moved = np.hstack([j[-n:] - factors[:, at] @ j[:-n] for j, at in zip(slopes, problem.numbers(), strict=True)])
-        return Normal.of(here @ here, -moved @ here, moved @ moved.T)
-
-
 def least_squares(
     params: np.ndarray, structure: Structure, problem: Problem, most: int = 60, least: float = 1e-9
 ) -> tuple[np.ndarray, float, bool]:
@@ -336,12 +358,12 @@ def least_squares(
     upper = problem.upper(structure)
     n = structure.moved
     params = np.append(bounded(params[:n], 0.0, 0.99 * FASTEST / problem.fine), params[n:])
-    params, converged = minimise(lambda p: normal_equations(p, structure, problem), params, upper, most, least)
+    params, converged = minimise(
+        lambda p: OutputError(p, structure, problem).normal_equations(), params, upper, most, least
+    )
     # an integrating pole would otherwise drift to zero
     params = np.append(bounded(params[:n], _SLOWEST / problem.seconds, np.inf), params[n:])
-    rows = solve(params, structure, problem).rows
-    cost = float(rows @ rows) / problem.samples
-    return params, cost if np.isfinite(cost) else np.inf, converged
+    return params, OutputError(params, structure, problem).cost / problem.samples, converged
 
 
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:

@@ -12,7 +12,7 @@ from ..numerics.coloured_noise import block_means, criterion, project, whitener
 from .heldout import Candidate
 from .linear_ode import respond
 from .order_fit import OrderFit
-from .output_error import FASTEST, Problem, driven, own_columns, solve
+from .output_error import FASTEST, OutputError, Problem
 from .unstable import unstable_pole
 
 UNSTABLE = "The plant is unstable"
@@ -63,7 +63,7 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
             f"The delay is at its upper limit of {problem.seconds / 4:.3g} s, a quarter of the longest recording. "
             "Check that input and output have the same clock."
         )
-    return said + _weak(fit) + _creep(chosen, problem)
+    return said + _weak(fit) + _creep(chosen.on(problem))
 
 
 def _near_zero(drive: np.ndarray) -> bool:
@@ -117,10 +117,11 @@ def _weak(fit: OrderFit) -> list[str]:
     ]
 
 
-def _creep(chosen: Candidate, problem: Problem) -> list[str]:
+def _creep(linear_fit: OutputError) -> list[str]:
     """Write a remark on creep slower than the model's poles, and how long to hold an input to measure it."""
+    problem, order = linear_fit.problem, linear_fit.structure.order
     taus = _LAGS * problem.seconds
-    error, linear, lags, drift = _slow_parts(chosen, problem, taus)
+    error, linear, lags, drift = _slow_parts(linear_fit, taus)
     # The richest hypothesis sets the spectrum; otherwise creep would be removed as coloured noise.
     white = whitener(project(error, np.column_stack([linear, *lags, drift]))[1])
 
@@ -142,25 +143,23 @@ def _creep(chosen: Candidate, problem: Problem) -> list[str]:
             f"A slow drift makes up {part}: creep slower than the recordings, or the sensor. Hold a constant input for "
             f"{3 * problem.seconds:.2g} s to tell them apart."
         ]
-    slow, order = f"about {tau:.2g} s{' or more' * (best == len(taus) - 1)}", chosen.structure.order
+    slow = f"about {tau:.2g} s{' or more' * (best == len(taus) - 1)}"
     return [
         f"Creep ({slow}) makes up {part}; a model of order {order} cannot describe it. Hold a constant input for "
         f"{3 * tau:.2g} s to measure it."
     ]
 
 
-def _slow_parts(chosen: Candidate, problem: Problem, taus: np.ndarray) -> tuple[np.ndarray, ...]:
+def _slow_parts(linear_fit: OutputError, taus: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return block means of the residual (T,), and of the fitted terms, lags and straight lines that may explain it."""
-    params, structure = chosen.params, chosen.structure
+    problem = linear_fit.problem
     settled = np.array([b.begins != "rest" for b in problem.beginnings])
     how = {"step": problem.dt, "square": problem.square, "hold": "foh", "settled": settled, "heads": problem.heads}
     drive, parts = np.concatenate(problem.drive), []
     lags = np.stack([respond(np.array([-np.log(tau)]), drive, **how) for tau in taus], 1)
-    series = (
-        own_columns(params, structure, problem)[0], solve(params, structure, problem).residuals,
-        driven(params, structure, problem), np.split(lags, problem.heads[1:]), problem.weight, problem.zeros,
-    )  # fmt: skip
-    for k, (own, error, run, slow, weight, zero) in enumerate(zip(*series, strict=True)):
+    series = (linear_fit.free[0], linear_fit.solved.residuals, linear_fit.runs, np.split(lags, problem.heads[1:]))
+    for k, (own, error, run, slow) in enumerate(zip(*series, strict=True)):
+        weight, zero = problem.weight[k], problem.zeros[k]
         columns = [error, run, slow, np.full(len(weight), zero >= 0), np.linspace(0.0, 1.0, len(weight))]
         wide = np.column_stack(columns)
         # A part that the record's own initial state can explain is not evidence of creep.

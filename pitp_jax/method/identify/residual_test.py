@@ -17,7 +17,7 @@ from jaxtyping import Float
 from scipy.signal import correlate
 from scipy.stats import norm
 
-from .output_error import Problem, Structure, poles_of, solve
+from .output_error import OutputError
 
 _LAGS = 40  # on either side
 _PERIODS = 2.0  # of the slowest oscillation (or time constant) covered by the lags
@@ -51,17 +51,17 @@ class ResidualTest:
         return bool((np.abs(self.drive[self.lag >= 0]) <= self.drive_band).all())
 
 
-def residual_test(params: np.ndarray, structure: Structure, problem: Problem) -> ResidualTest:
+def residual_test(error: OutputError) -> ResidualTest:
     """Correlate the residual of all records with itself and with the input (V^2 or V), over lags in time."""
-    period = 2 * np.pi / max(float(np.abs(poles_of(params, structure)).min()), 1 / problem.seconds)
+    problem = error.problem
+    period = 2 * np.pi / max(float(np.abs(error.poles).min()), 1 / problem.seconds)
     shortest = min(len(d) for d in problem.drive)
     spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
     far = spacing * _LAGS
     long = min(_MEMORY * far, shortest // 2)
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
-    residuals = solve(params, structure, problem).residuals
-    for residual, force, weight in zip(residuals, problem.forces, problem.weight, strict=True):
+    for residual, force, weight in zip(error.solved.residuals, problem.forces, problem.weight, strict=True):
         force = weight * (force - weight @ force / max(weight.sum(), 1.0))
         sums += np.stack(
             # sum_t a_t b_{t+k} for k = -long ... long

@@ -11,7 +11,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from ..signal.reduced import means
 from .linear_ode import bounded, logs_from_roots, poles
-from .output_error import FASTEST, Problem, Structure, solve
+from .output_error import FASTEST, OutputError, Problem, Structure
 
 _GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
 _APART = 0.3  # of a logarithm: nearer starts lead to the same minimum
@@ -31,19 +31,12 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
         logs = np.append(logs, [-mean] * structure.integrates)
         for delay in _DELAYS if structure.delayed else (None,):
             params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
-            scored.append((params, cost_of(params, structure, problem)))
+            scored.append((params, OutputError(params, structure, problem).cost))
     chosen: list[np.ndarray] = []
     for params, cost in sorted(scored, key=lambda s: s[1]):
         if np.isfinite(cost) and all(np.abs(params - other).max() > _APART for other in chosen):
             chosen.append(params)
     return chosen[:most]
-
-
-def cost_of(params, structure: Structure, problem: Problem) -> float:
-    """Return the sum of squares of the residual; infinite if the response diverges."""
-    with np.errstate(all="ignore"):
-        rows = solve(params, structure, problem).rows
-    return float(rows @ rows) if np.isfinite(rows).all() else np.inf
 
 
 def guesses(order: int, problem: Problem) -> list[np.ndarray]:
