@@ -28,10 +28,7 @@ from .output_error import FASTEST, OutputError, Problem, Structure, build_proble
 from .starts import guesses
 
 _PER_PERIOD = 10  # samples per period of the band's top or of the resonance, enough to distinguish initial states
-_MOST = 100_000  # samples used to find the poles
-_STARTS = 3  # initial guesses, each with the sensor directions it implies, that are fitted
 _STRUCTURE = Structure(2)
-_CLEAN = 1.2  # times the noise: largest residual of a model without error
 
 
 @threadpool_limits.wrap(limits=1, user_api="blas")  # as in `identification`
@@ -70,7 +67,8 @@ def find_beginnings(records: Sequence[Record], input_map: str) -> tuple[list[Beg
 def _only_noise(cost: float, records: Sequence[Record]) -> bool:
     """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
-    return bool(np.sqrt(cost * size) < _CLEAN * np.median([noise_std(r.displacement) for r in records]))
+    # a model without error leaves at most 1.2 times the noise
+    return bool(np.sqrt(cost * size) < 1.2 * np.median([noise_std(r.displacement) for r in records]))
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
@@ -78,12 +76,16 @@ def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], li
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
     dt, shortest = records[0].dt, min(r.samples for r in records)
     size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
-    chosen = spread_over_kinds(records, max(1, _MOST * size * len(records) // sum(r.samples for r in records)))
+    # as many records as 100,000 samples hold
+    chosen = spread_over_kinds(records, max(1, 100_000 * size * len(records) // sum(r.samples for r in records)))
     return list(chosen), [averaged(records[k], forces[k], size) for k in chosen]
 
 
 def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, float]] | None:
-    """Fit a model of order 2 with free initial states; return mean square residual and model, None if all fail."""
+    """Fit a model of order 2 with free initial states from the best three guesses; None if all fail.
+
+    Return mean square residual and model.
+    """
     unknown = [Beginning("moving", 1.0, float(np.nanmedian(r.displacement)), 0.0, k, True) for k, r in enumerate(small)]
     problem = build_problem(small, "linear", unknown)
     scored = []
@@ -91,7 +93,7 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
         logs = bounded(logs_from_roots(roots), 0.0, FASTEST / problem.fine)
         same = _directed(logs, problem)
         scored.append((OutputError(logs, _STRUCTURE, same).cost, logs, same))
-    fits = [_fitted(logs, same) for _, logs, same in sorted(scored, key=lambda s: s[0])[:_STARTS]]
+    fits = [_fitted(logs, same) for _, logs, same in sorted(scored, key=lambda s: s[0])[:3]]
     return min((fit for fit in fits if fit), key=lambda fit: fit[0], default=None)
 
 

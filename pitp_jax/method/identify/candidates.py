@@ -29,8 +29,6 @@ NEAR = 1.03
 _ALWAYS = 3  # orders that are always tried; then one more, because a mode is two poles; then while the last one wins
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
 HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
-_ALIKE = 1e-4  # fraction of a cost: two fits that differ by less found the same minimum
-_STEPS, _LEAST_STEP = 40, 1e-5  # limits of a fit that is only compared; the chosen one is continued
 _DELAY = 0.05  # samples: a shorter delay counts as none; a delay also starts here, because 0 has no slope
 
 Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
@@ -167,13 +165,14 @@ def _by_response(order: int, delayed: bool, problem: Problem, response: Frequenc
 def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
     """Return whether more initial guesses are unnecessary: the fit is good, was found twice, or has no delay."""
     params, least, _ = min(ends, key=lambda e: e[1])
-    again = sum(e[1] <= (1 + _ALIKE) * least for e in ends) > 1
+    # two fits that differ by less found the same minimum
+    again = sum(e[1] <= (1 + 1e-4) * least for e in ends) > 1
     none = structure.delayed and np.exp(params[-1]) <= _DELAY * problem.fine
     return bool(np.isfinite(least) and bound > 0 and (least <= bound or again or none))
 
 
 def _short(start: np.ndarray, structure: Structure, problem: Problem) -> Ending:
-    return least_squares(start, structure, problem, _STEPS, _LEAST_STEP)
+    return least_squares(start, structure, problem, 40, 1e-5)  # the chosen fit is continued
 
 
 def choose(candidates: Sequence[Candidate]) -> Candidate:

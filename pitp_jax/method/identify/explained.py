@@ -14,16 +14,15 @@ from .heldout import Candidate
 from .output_error import Problem
 
 NOTHING, LITTLE = 0.9, 0.5  # fraction of the output's rms, held out: residual of a model that explains nothing, little
-_OUT_OF_NOISE, _NOISE = 0.1, 0.5  # of the output's rms: held-out residual; noise above which it hardly moves
 CHECK = "Check --input-column and --output-column, and whether another input moves the output"
-_LAGS, _FED_BACK, _PREDICTED = 8, 0.1, 1e-3  # samples; variances of an input that follows from the output
+_LAGS = 8  # samples
 
 
 def explains(chosen: Candidate, candidates: Sequence[Candidate], problem: Problem) -> tuple[bool, str | None]:
     """Return whether the model explains the output, and a warning if it explains little or hardly more than noise."""
     least = min(c.heldout.score for c in candidates)
     left = f"{100 * chosen.heldout.score:.0f} % of the output's rms remains unexplained on held-out blocks"
-    if chosen.heldout.score > _OUT_OF_NOISE and is_noise(problem):
+    if chosen.heldout.score > 0.1 and is_noise(problem):
         if _fed_back(problem):
             return False, (
                 f"The model explains only the sensor's noise, which a controller feeds back into the input ({left}). "
@@ -59,7 +58,8 @@ def _fed_back(problem: Problem) -> bool:
         rest, less = (project(drive[_LAGS:], c)[1] for c in (inputs, np.column_stack([inputs, outputs])))
         alone, beside = alone + float(rest @ rest), beside + float(less @ less)
     moved = sum(float(np.sum((drive - drive.mean()) ** 2)) for drive in problem.drive)
-    return beside < _FED_BACK * alone and alone > _PREDICTED * moved
+    # an input that its own past predicts to 0.1 % of its variance needs no output
+    return beside < 0.1 * alone and alone > 1e-3 * moved
 
 
 def is_noise(problem: Problem) -> bool:
@@ -68,4 +68,4 @@ def is_noise(problem: Problem) -> bool:
     for output, weight in zip(problem.output, problem.weight, strict=True):
         y, count = np.where(weight > 0, output, np.nan), float(weight.sum())
         noise, moved = noise + count * float(noise_std(y)) ** 2, moved + count * float(np.nanvar(y))
-    return bool(noise > _NOISE**2 * moved)
+    return bool(noise > 0.5**2 * moved)

@@ -19,9 +19,6 @@ from .output_error import Problem
 
 _HALF, _DEGREE = 6, 2  # lines on either side; degree of the polynomials
 LINES = 256  # at most, over all records
-_EXCITED = 1e-3  # of the largest local energy: a line below it is not excited
-_TAPER = 0.2  # fraction of the record: without a taper, the jump from end to start looks like excitation
-_FEWEST, _SPAN = 24, 3.0  # coherent lines, and the ratio of highest to lowest, needed to distinguish orders
 
 
 @dataclass(frozen=True)
@@ -42,7 +39,7 @@ class FrequencyResponse:
     def rich(self) -> bool:
         """Return whether coherent lines are numerous and wide enough in band to distinguish orders and delays."""
         known = self.hz[self.coherent]
-        return len(known) >= _FEWEST and float(known.max()) >= _SPAN * float(known.min())
+        return len(known) >= 24 and float(known.max()) >= 3 * float(known.min())
 
 
 UNKNOWN_RESPONSE = FrequencyResponse(np.zeros(0), np.zeros(0, complex), np.zeros(0), np.zeros(0))
@@ -70,9 +67,11 @@ def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Seque
     u, y = np.fft.rfft(force)[1:], np.fft.rfft(output)[1:]
     last = len(u) - 2 * _HALF - 2
     middle = np.unique(np.geomspace(_HALF, max(last, _HALF + 1), 4 * most).astype(int))
-    tapered = np.fft.rfft(force * tukey(len(force), _TAPER))[1:]
+    # without a taper, the jump from end to start looks like excitation
+    tapered = np.fft.rfft(force * tukey(len(force), 0.2))[1:]
     energy = np.convolve(np.abs(tapered) ** 2, np.ones(2 * _HALF + 1), "same")[middle]
-    middle = middle[energy > _EXCITED * energy.max()]
+    # a line below this part of the largest local energy is not excited
+    middle = middle[energy > 1e-3 * energy.max()]
     middle = middle[:: max(-(-len(middle) // most), 1)]
     r = np.arange(-_HALF, _HALF + 1)
     powers = (r / _HALF)[:, None] ** np.arange(_DEGREE + 1)

@@ -50,15 +50,11 @@ from .residual_test import ResidualTest, residual_test
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
 _BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choice costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
-_STANDS = 1e-3  # of the input's range: a smaller change at the start is none
-_SAMPLES = 10_000  # samples to compare candidates: more are averaged over blocks, as far as these hide nothing
 _NONE = (
     "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
     "that the input and output columns belong together"
 )
 _USELESS, _CLEARLY = 10.0, 0.5  # % of the deviation, held out: the other input map is tried; what it must leave
-_ALIKE = 1.2  # ratio of frequencies below which they count as one
-_HIDDEN = 0.1  # of a linear model's residual: a cubic through n samples a period is off by 3 / 128 (2 pi / n)^4
 
 
 @dataclass(frozen=True)
@@ -223,7 +219,8 @@ def _identified(
 ) -> Identification:  # fmt: skip
     """Identify under one input map, as `identify` describes it."""
     begun, roots, misfit = find_beginnings(records, input_map)
-    finest = 2 * np.pi * (3 / 128 / (_HIDDEN * max(misfit, 1e-6))) ** 0.25  # samples a period
+    # samples a period: a cubic through n of them is off by 3 / 128 (2 pi / n)^4, a tenth of a linear model's residual
+    finest = 2 * np.pi * (3 / 128 / (0.1 * max(misfit, 1e-6))) ** 0.25
     whole = build_problem(records, input_map, begun)
     small = _averaged(records, input_map, whole, roots, finest)
     response = frequency_response(whole)
@@ -259,7 +256,7 @@ def _wrong_structure(
 ) -> str | None:
     """Write why the coefficients are not those of the plant: it has zeros, or the input has one frequency only."""
     lines = [] if problem.square else [hz for r in records if (hz := only_frequency(r))]
-    if len(lines) == len(records) and max(lines) < _ALIKE * min(lines):
+    if len(lines) == len(records) and max(lines) < 1.2 * min(lines):
         return (
             f"The input is a sine of one frequency, {lines[0]:.3g} Hz, which determines two numbers: order and "
             "coefficients are not determined. Add steps, a sweep or a second frequency"
@@ -317,7 +314,8 @@ def _averaged(records: Sequence[Record], input_map: str, whole: Problem, roots, 
     """Return the normalised records on which candidates are compared: block means if there are many samples."""
     fastest = max(whole.omega, *(np.abs(roots) if roots is not None else ())) / (2 * np.pi)
     size = block_size(whole.dt, fastest, finest, min(len(d) for d in whole.drive))
-    size = min(size, int(np.ceil(whole.samples / _SAMPLES)))
+    # more samples are averaged over blocks, as far as these hide nothing
+    size = min(size, int(np.ceil(whole.samples / 10_000)))
     if size < 2:
         return whole
     forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
@@ -402,7 +400,8 @@ def _errors(fit: OutputError) -> Table:
     ):
         error = np.where(weight > 0, residual, np.nan)
         if b.begins == "held":
-            stands = int(np.argmax(np.abs(drive - drive[0]) > _STANDS * np.ptp(drive)))
+            # a change by a thousandth of the range is none
+            stands = int(np.argmax(np.abs(drive - drive[0]) > 1e-3 * np.ptp(drive)))
             first = error[: max(stands, INITIAL_SAMPLES)]
             error = error - (first[np.isfinite(first)].mean() if np.isfinite(first).any() else 0.0)
         errors.append(problem.scale * error)

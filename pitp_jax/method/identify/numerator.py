@@ -22,7 +22,6 @@ from .output_error import Problem
 from .rational_fit import PEAK, Rational, fit_rational
 
 _LESS = 0.5  # of the error: what a model with zeros must leave
-_BESIDE = 2.0  # zero over pole of a lag that adds less than the whole of the motion
 _SMALL = 0.02  # of the output's deviation: an error that needs no reason
 
 
@@ -88,7 +87,8 @@ def needed_zeros(chosen: Candidate, problem: Problem, response: FrequencyRespons
 def _creeps(fitted: Numerator) -> bool:
     """Return whether every zero has a real pole beside it: a lag added to the motion, which is creep."""
     real = np.abs(fitted.poles[np.imag(fitted.poles) == 0])
-    return all(z != 0 and ((real < abs(z)) & (abs(z) < _BESIDE * real)).any() for z in fitted.zeros)
+    # with a zero twice as fast as its pole, a lag adds the whole of the motion
+    return all(z != 0 and ((real < abs(z)) & (abs(z) < 2 * real)).any() for z in fitted.zeros)
 
 
 def _fitted(found: Rational, zeros: int, problem: Problem, deviation: float, without: float) -> Numerator:

@@ -24,7 +24,6 @@ from .output_error import FASTEST, OutputError, Problem, gram_of, inverse
 
 _BLOCKS, _IN_A_ROW = 64, 4
 _BEYOND = 1.5  # rad a sample: these samples cannot show a faster pole
-_UNSEEN = 1e-6  # rad in the longest record: the pole that stands for one at 0, where programs divide by a_0
 _KNOWN = 3.0  # largest standard error of a logarithm; unmeasured poles have errors of hundreds
 
 
@@ -147,7 +146,8 @@ def _physical(error: OutputError) -> tuple[np.ndarray, np.ndarray]:
     """Return the coefficients of sum a_i x^(i) = F in physical units, and their derivatives by logarithms and gain."""
     logs, structure, problem, gain = error.logs, error.structure, error.problem, float(error.solved.gains[0])
     first = int(structure.integrates)
-    logs = np.maximum(logs, np.log(_UNSEEN / problem.seconds)) if first else logs
+    # programs divide by a_0: a pole of 1e-6 rad in the longest record stands for one at 0
+    logs = np.maximum(logs, np.log(1e-6 / problem.seconds)) if first else logs
     poly, slopes = polynomial(logs), polynomial_slopes(logs)[:, : structure.moved]
     unit = poly[first] * abs(gain) * problem.scale
     a = poly / unit

@@ -27,7 +27,6 @@ from ..signal.record import Record
 from .linear_ode import bounded, coast, pole_slopes, poles, respond, respond_with_slopes
 
 _RIDGE = 1e-3  # per sample, on an initial state in units of the output's rms
-_SLOWEST = 0.01  # rad a record: the records cannot distinguish a slower pole from an integrator
 FASTEST = 3.0  # rad a sample: these samples cannot show a faster pole
 
 
@@ -361,8 +360,8 @@ def least_squares(
     params, converged = minimise(
         lambda p: OutputError(p, structure, problem).normal_equations(), params, upper, most, least
     )
-    # an integrating pole would otherwise drift to zero
-    params = np.append(bounded(params[:n], _SLOWEST / problem.seconds, np.inf), params[n:])
+    # a pole below 0.01 rad a record cannot be told from an integrator, and would drift to zero
+    params = np.append(bounded(params[:n], 0.01 / problem.seconds, np.inf), params[n:])
     return params, OutputError(params, structure, problem).cost / problem.samples, converged
 
 

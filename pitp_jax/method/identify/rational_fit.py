@@ -20,7 +20,6 @@ from .frequency_response import FrequencyResponse
 from .linear_ode import logs_from_roots, poles, polynomial
 
 PEAK = 0.5**0.5  # damping below which a pole pair has a resonance peak
-_CLEARLY = 0.8  # of the error, beside one standard error: what a fit with a peak leaves where it needs one
 _DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
 
 
@@ -98,12 +97,12 @@ class Rational:
 
 
 def needs_resonance(response: FrequencyResponse, dt: float) -> bool:
-    """Return whether the response needs a pole pair with a peak."""
+    """Return whether a pole pair with a peak leaves less than 0.8 times the error, beside one standard error."""
     if not response.rich:
         return False
     without = fit_rational(response, dt, 3, 2, least=PEAK).error
     fits = (fit_rational(response, dt, order, zeros).error for order, zeros in ((2, 0), (3, 2)))
-    return any(np.hypot(1, error) < _CLEARLY * np.hypot(1, without) for error in fits)
+    return any(np.hypot(1, error) < 0.8 * np.hypot(1, without) for error in fits)
 
 
 def fit_rational(

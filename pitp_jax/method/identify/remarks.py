@@ -17,12 +17,7 @@ from .unstable import unstable_pole
 
 UNSTABLE = "The plant is unstable"
 _BOUND = 0.97  # fraction of a bound: a fit beyond it counts as stopped there
-_WEAK = 0.1  # standard error of a coefficient above which a combination is reported as weak
-_PART = 0.3  # fraction of a combination below which a coefficient does not belong to it
 _USELESS = 0.1  # fraction of the output's deviation: a larger held-out residual may mean an unstable plant
-_NEAR_ZERO = 0.1  # fraction of the largest voltage
-_BLOCKS = 256  # blocks of a record, over which it is averaged to find creep
-_LAGS = np.geomspace(0.1, 10.0, 9)  # fractions of the longest record
 _SURE, _SEEN = 10.0, 0.01  # BIC that creep must gain; fraction of the output's deviation that it must explain
 
 
@@ -67,7 +62,7 @@ def remarks(fit: OrderFit, chosen: Candidate, problem: Problem, *, every: bool) 
 
 
 def _near_zero(drive: np.ndarray) -> bool:
-    return bool(drive.min() <= 0 <= drive.max() or np.abs(drive).min() < _NEAR_ZERO * np.abs(drive).max())
+    return bool(drive.min() <= 0 <= drive.max() or np.abs(drive).min() < 0.1 * np.abs(drive).max())
 
 
 def _at_fastest(fit: OrderFit, problem: Problem) -> bool:
@@ -90,7 +85,10 @@ def unstable_line(chosen: Candidate, problem: Problem) -> str | None:
 
 
 def _weak(fit: OrderFit) -> list[str]:
-    """Write remarks on coefficients that the data do not show, and on the least certain combination of the others."""
+    """Write remarks on coefficients that the data do not show, and on the least certain combination of the others.
+
+    It is reported from a standard error of 10 % on, with the coefficients of at least 0.3 times its largest part.
+    """
     relative = fit.stderr / np.abs(fit.coefficients)
     # an unknown coefficient of these two kinds has a remark of its own
     hidden = {1} if fit.static else set()
@@ -101,14 +99,14 @@ def _weak(fit: OrderFit) -> list[str]:
     rest = [i for i in range(fit.order + 1) if i not in (*without, *hidden)]
     spread = (fit.correlation * np.outer(relative, relative))[np.ix_(rest, rest)]
     values, vectors = np.linalg.eigh(spread)
-    if len(rest) < 2 or not np.isfinite(values).all() or values[-1] < _WEAK**2:
+    if len(rest) < 2 or not np.isfinite(values).all() or values[-1] < 0.1**2:
         return said
     most = vectors[:, -1] * np.sqrt(values[-1])
     most = most * np.sign(most[np.argmax(np.abs(most))])
     parts = [
         f"a{i} {100 * abs(m):.2g} % {'larger' if m > 0 else 'smaller'}"
         for i, m in zip(rest, most, strict=True)
-        if abs(m) > _PART * np.abs(most).max()
+        if abs(m) > 0.3 * np.abs(most).max()
     ]
     what = "combination" if len(parts) > 1 else "coefficient"
     return [
@@ -120,7 +118,7 @@ def _weak(fit: OrderFit) -> list[str]:
 def _creep(linear_fit: OutputError) -> list[str]:
     """Write a remark on creep slower than the model's poles, and how long to hold an input to measure it."""
     problem, order = linear_fit.problem, linear_fit.structure.order
-    taus = _LAGS * problem.seconds
+    taus = np.geomspace(0.1, 10.0, 9) * problem.seconds  # of the longest record
     error, linear, lags, drift = _slow_parts(linear_fit, taus)
     # The richest hypothesis sets the spectrum; otherwise creep would be removed as coloured noise.
     white = whitener(project(error, np.column_stack([linear, *lags, drift]))[1])
@@ -164,7 +162,7 @@ def _slow_parts(linear_fit: OutputError, taus: np.ndarray) -> tuple[np.ndarray, 
         wide = np.column_stack(columns)
         # A part that the record's own initial state can explain is not evidence of creep.
         wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0] if own.size else wide
-        means = block_means(wide, weight, max(len(weight) // _BLOCKS, 1))[0]
+        means = block_means(wide, weight, max(len(weight) // 256, 1))[0]
         zeros, drift = np.zeros((len(means), max(problem.free_zeros, 1))), np.zeros((len(means), len(problem.drive)))
         zeros[:, max(zero, 0)], drift[:, k] = means[:, -2:].T
         parts.append(np.hstack([means[:, :2], zeros, means[:, 2:-2], drift]))

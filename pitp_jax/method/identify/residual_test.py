@@ -20,8 +20,6 @@ from scipy.stats import norm
 from .output_error import OutputError
 
 _LAGS = 40  # on either side
-_PERIODS = 2.0  # of the slowest oscillation (or time constant) covered by the lags
-_MEMORY = 20  # times as many lags count in the band, because e and u may be correlated for long
 
 
 @dataclass(frozen=True)
@@ -52,13 +50,17 @@ class ResidualTest:
 
 
 def residual_test(error: OutputError) -> ResidualTest:
-    """Correlate the residual of all records with itself and with the input (V^2 or V), over lags in time."""
+    """Correlate the residual of all records with itself and with the input (V^2 or V), over lags in time.
+
+    The lags cover two periods of the slowest oscillation (or time constant).
+    """
     problem = error.problem
     period = 2 * np.pi / max(float(np.abs(error.poles).min()), 1 / problem.seconds)
     shortest = min(len(d) for d in problem.drive)
-    spacing = int(np.clip(_PERIODS * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
+    spacing = int(np.clip(2 * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
     far = spacing * _LAGS
-    long = min(_MEMORY * far, shortest // 2)
+    # e and u may be correlated for long
+    long = min(20 * far, shortest // 2)
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
     for residual, force, weight in zip(error.solved.residuals, problem.forces, problem.weight, strict=True):

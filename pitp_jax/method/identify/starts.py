@@ -13,7 +13,7 @@ from ..signal.reduced import means
 from .linear_ode import bounded, logs_from_roots, poles
 from .output_error import FASTEST, OutputError, Problem, Structure
 
-_GRID, _PAIRS, _DAMPING = 7, 16, (0.1, 0.7)
+_GRID = 7
 _APART = 0.3  # of a logarithm: nearer starts lead to the same minimum
 _DELAYS = (0.5, 1.5, 4.0, 10.0)  # samples: starting values of the delay
 
@@ -47,7 +47,7 @@ def guesses(order: int, problem: Problem) -> list[np.ndarray]:
         tried += [-grid[k : k + 1] for k in range(_GRID)]
     if order == 2:
         tried += [w * np.array([-z + 1j * np.sqrt(1 - z * z), -z - 1j * np.sqrt(1 - z * z)])
-                  for w in np.geomspace(grid[1], grid[-1], _PAIRS) for z in _DAMPING]  # fmt: skip
+                  for w in np.geomspace(grid[1], grid[-1], 16) for z in (0.1, 0.7)]  # fmt: skip
     if order >= 2:
         tried += [-np.geomspace(grid[a], grid[b], order) for a, b in ((0, 3), (2, 5), (3, 6), (0, 6))]
     return tried

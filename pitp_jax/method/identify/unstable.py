@@ -16,7 +16,7 @@ from scipy.optimize import least_squares
 from .linear_ode import bounded_response
 from .output_error import Problem, inverse
 
-_ORDERS, _GRID = (1, 2, 3), 4
+_GRID = 4
 _GROWS = 3.0  # e-folds over the record, at least; less is drift or a missing damping
 _FRACTION = 0.5  # of the stable model's residual; free end values alone reduce it by less
 
@@ -29,7 +29,7 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
     `stable`: residual of the stable model, as a fraction of the output's rms.
     """
     best = None
-    for order in _ORDERS:
+    for order in (1, 2, 3):
         for pair in (False, True)[: 1 + (order > 1)]:
             start = min(_starts(order, pair, problem), key=lambda p: float(np.sum(_residual(p, pair, problem) ** 2)))
             fit = least_squares(_residual, start, args=(pair, problem), x_scale=0.5, max_nfev=20)

@@ -29,9 +29,7 @@ from ..simulate.decoder import scaled_force
 
 _WEIGHT = 0.1  # lambda, relative to a mean over records of squares of e_rms in %
 _ENDS, _BELOW = 3.0, 0.7  # weight of the second moment; fraction of the resonance below which a window's motion must be
-_WINDOWS, _FEWEST_WINDOWS = 100, 10
-_WINDOW_SAMPLES = 6  # at least, of those kept: 1.5 periods of the fastest input; a short record has fewer windows
-_COVERED = 0.9  # fraction of a window that must lie in the trained region
+_FEWEST_WINDOWS = 10
 OUTLASTS = 1.5  # times the longest training run
 
 
@@ -96,7 +94,8 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
                         displacement=model.output.to_model(record.displacement))  # fmt: skip
     states, valid = motion.states / model.scales.state, motion.valid[:: long.step]
     low, high = np.asarray(region)[: model.order].T
-    windows = min(_WINDOWS, len(valid) // _WINDOW_SAMPLES)
+    # at least six kept samples each, 1.5 periods of the fastest input: a short record has fewer windows
+    windows = min(100, len(valid) // 6)
     if windows < _FEWEST_WINDOWS:
         return None
     shape = windows, len(valid) // windows
@@ -104,7 +103,7 @@ def slow_balance(model: Model, long: LongRecord, region) -> SlowBalance | None:
     rows = states[:: long.step][:count].reshape(*shape, -1)
     inside = valid[:count].reshape(shape) & ((rows[..., :-1] >= low) & (rows[..., :-1] <= high)).all(-1)
     # a window that leaves the region includes motion (a resonance) that training never covered
-    inside &= inside.mean(1, keepdims=True) >= _COVERED
+    inside &= inside.mean(1, keepdims=True) >= 0.9
     used = inside.any(1)
     if used.sum() < _FEWEST_WINDOWS:
         return None

@@ -20,8 +20,6 @@ from ..signal.record import Record
 from .errors import errors, scores
 from .training import train
 
-_WORSE = 10.0  # times the fitted error; a larger prediction error gives a warning
-
 
 @dataclass(frozen=True)
 class HeldOut:
@@ -41,7 +39,7 @@ class HeldOut:
     def suspect(self) -> bool:
         """Return whether the prediction error exceeds ten times the fitted error."""
         # not <= instead of >, because nan is suspect too
-        return not self.predicted <= _WORSE * self.fitted
+        return not self.predicted <= 10 * self.fitted
 
 
 def with_held_out(model: Fitted, held_out: Sequence[HeldOut]) -> Fitted:

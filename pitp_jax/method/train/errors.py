@@ -26,8 +26,6 @@ from ..simulate.prediction import Prediction, predict
 
 _ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: the effect of noise on a fit
 _DIVERGED = 1e6  # %; the value of a diverged run, so that means and ratios stay finite
-_LITTLE = 1.0  # %; a smaller mean error is not a failure,
-_CLOSED = 0.5  # nor one of at most this fraction of the nominal's
 
 
 @dataclass(frozen=True)
@@ -99,10 +97,10 @@ class Candidate:
 
     @property
     def converged(self) -> bool:
-        """Return whether training succeeded: it is better than the nominal, and the error is small or halved."""
+        """Return whether training succeeded: it is better than the nominal, and the error is at most 1 % or halved."""
         # without noise, which no model can reduce; otherwise a noisy set would never count as converged
         after, before = (_mean(np.sqrt(np.maximum(e**2 - self.noise**2, 0))) for e in (self.trained, self.nominal))
-        return self.gain >= 0 and after <= max(_LITTLE, _CLOSED * before)
+        return self.gain >= 0 and after <= max(1.0, before / 2)
 
     @property
     def gain(self) -> float:

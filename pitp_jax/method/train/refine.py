@@ -51,9 +51,7 @@ _SHORT_STEPS, _PERIODS, _LONGER = 12, 6.0, 4.0  # steps on windows; their length
 _NEAR, _WORSE = 10.0, 3.0  # % of range, or times the windows' error, above which whole records are not fitted next
 _SCALED = (1.0, 0.7, 0.4, 0.2, 0.0)  # factors on the logits at which a stage may start
 _PRIOR = 1e-4  # rho of every trained parameter except the weights of the spring and damping nets
-_HELD, _OF = 9, 3  # blocks of a record; one of so many is held out
 _DIVERGED = 1e4  # times the range; the error of a diverged run, so that a mean stays finite
-_PATIENCE, _SLOW = 5, 0.05  # stop when that many steps together lower the error by less than this fraction
 
 
 @dataclass(frozen=True)
@@ -80,8 +78,8 @@ class HeldOut:
 
 
 def _held(record: Record, place: int) -> np.ndarray:
-    """Mark the held-out samples of a record: of three blocks the second, in every other record the third."""
-    return np.arange(record.samples) * _HELD // record.samples % _OF == 1 + place % 2
+    """Mark the held-out samples: of nine blocks every second one of three, in every other record every third."""
+    return np.arange(record.samples) * 9 // record.samples % 3 == 1 + place % 2
 
 
 @dataclass(frozen=True)
@@ -177,8 +175,8 @@ def _descend(model: Model, batches: Sequence[Runs], count: int, stage: str, how:
 
 
 def _is_flat(logs: Sequence[float]) -> bool:
-    """Return whether the last steps together lowered a cost by less than 5 %, from its logarithm after every step."""
-    return len(logs) > _PATIENCE and not logs[-1] < logs[-1 - _PATIENCE] + np.log(1 - _SLOW)
+    """Return whether the last five steps together lowered a cost by less than 5 %, from its logarithm after each."""
+    return len(logs) > 5 and not logs[-1] < logs[-6] + np.log(0.95)
 
 
 def _nearest(model: Model, batches: Sequence[Runs], how: _How) -> Model:

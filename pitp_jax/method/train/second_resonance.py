@@ -19,9 +19,6 @@ from ..signal.preprocess import StateRecord
 
 UNEXPLAINED = 0.65  # largest u for a second mass
 WORTH = 0.006  # smallest fraction of the force (rms) for the pull; smaller ones come from terms missing in phi
-_ROWS, _SAMPLES = 30_000, 400_000
-_GRID, _DAMPING = 32, (0.003, 0.15)  # with more damping it is a lag
-_FASTEST = 1.0  # w dt; above, errors of the filter and of the input between samples look like a mode
 
 
 def second_mass(
@@ -37,7 +34,8 @@ def second_mass(
     if states[0].states.shape[1] < 3:
         return None  # at order 1 the moving part has no mass
     seen = _rows(states)
-    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, _FASTEST / states[0].dt)
+    # above w dt = 1, errors of the filter and of the input between samples look like a mode
+    low, high = 0.2 * omega, min(20 * omega, 2 * np.pi * states[0].cutoff_hz, 1 / states[0].dt)
     columns, force = _columns(seen, lags), seen.weight * seen.read(lambda s: s.force)
     if len(force) < 10 * columns.shape[1] or low >= high:
         return None
@@ -49,7 +47,7 @@ def second_mass(
 
     def unexplained(place) -> float:
         w, zeta = np.exp(place)
-        if not (low <= w <= high and _DAMPING[0] <= zeta <= _DAMPING[1]):
+        if not (low <= w <= high and 0.003 <= zeta <= 0.15):  # with more damping it is a lag
             return 1.0
         pull = seen.weight * (seen.displacement - seen.filtered([w * w], [1, 2 * zeta * w, w * w]))
         # the residual is orthogonal to the basis already, and of the pull's rest only the length is needed
@@ -59,7 +57,7 @@ def second_mass(
         return 1 - gain**2 / max(rest * energy, 1e-300) if gain > 0 else 1.0
 
     # a grid first, because no slope leads from one narrow mode to another
-    start = min(np.geomspace(low, high, _GRID), key=lambda w: unexplained(np.log([w, 0.08])))
+    start = min(np.geomspace(low, high, 32), key=lambda w: unexplained(np.log([w, 0.08])))
     best = scipy.optimize.minimize(
         unexplained, np.log([start, 0.08]), method="Nelder-Mead", options={"maxiter": 60, "fatol": 1e-4}
     )
@@ -98,8 +96,8 @@ class _Rows(NamedTuple):
 def _rows(states: Sequence[StateRecord]) -> _Rows:
     """Choose records with valid samples, and every n-th of these samples, so that both numbers stay limited."""
     some = [s for s in states if s.valid.any()]
-    some = some[:: max(sum(len(s.force) for s in some) // _SAMPLES, 1)]
-    every = max(sum(int(s.valid.sum()) for s in some) // _ROWS, 1)
+    some = some[:: max(sum(len(s.force) for s in some) // 400_000, 1)]
+    every = max(sum(int(s.valid.sum()) for s in some) // 30_000, 1)
     # each record from another first sample, because one grid on records of one input would sample the same phases
     places = [np.flatnonzero(s.valid)[k % every :: every] for k, s in enumerate(some)]
     spans = [max(float(np.ptp(s.force)), 1e-300) for s in some]

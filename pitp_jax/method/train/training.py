@@ -45,7 +45,6 @@ from .refine import BUDGET, HeldOut, refine, run_samples
 from .settings import Settings, firmness_of, memory_of, preset_of, with_encoder, with_parts
 
 _OPTIMISER = optax.scale_by_adam()
-_MORE = 0.05  # of the log score; another start that gains less is the last one
 _PER_PERIOD = 40.0  # samples that a free run needs of a period (docs/decisions/training.md)
 
 
@@ -245,7 +244,8 @@ def _attempts(
             # an interrupt returns the best, not an unfinished one
             yield (model, gain, entry) if best is None else (best.model, best.held_out, {**entry, "start": start})
         found = compare(model, gain)
-        ends = best is not None and best.gain > 0 and found.gain < best.gain + _MORE
+        # a start that gains less in the log score is the last one
+        ends = best is not None and best.gain > 0 and found.gain < best.gain + 0.05
         best = found if best is None else max(best, found, key=lambda c: c.gain)
         if best.converged or ends:
             break
