@@ -113,8 +113,7 @@ def _directed(logs: np.ndarray, problem: Problem) -> Problem:
     for unit, own, output, weight in zip(error.runs, error.free[0], problem.output, problem.weight, strict=True):
         columns = weight[:, None] * np.column_stack([unit, np.ones(len(unit)), own])
         gains.append(project(weight * output, columns)[0][0] * np.std(unit))
-    most = 1.0 if np.sum(gains) >= 0 else -1.0
-    directions = [1.0 if most * g >= 0 else -1.0 for g in gains]
+    directions = np.where(np.sum(gains) * np.array(gains) >= 0, 1.0, -1.0).tolist()
     return replace(
         problem,
         output=tuple(d * o for d, o in zip(directions, problem.output, strict=True)),
@@ -142,9 +141,9 @@ def _fitted_zero(
     means = means * np.sqrt(share)[:, None]
     # the residual beside any initial state has the model's error in it, but no other start's
     white = whitener(project(means[:, 0], means[:, 1:])[1])(means)
-    one = white[:, 1]
-    factors, residual = project(white[:, 0], white[:, 1:] if moving else white[:, 1:2])
-    alone = project(one, white[:, 2:])[1] if moving else one
+    columns = white[:, 1 : 2 + moving * free.shape[1]]
+    factors, residual = project(white[:, 0], columns)
+    alone = project(columns[:, 0], columns[:, 1:])[1]
     return float(factors[0]), float(alone @ alone / max(residual @ residual / len(residual), 1e-300)), len(residual)
 
 

@@ -142,15 +142,19 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if lower is None and order > 1 and len(problem.drive) > 1:
         bound = -np.inf  # asked for alone: the lines of several sines together look like a sweep
-    ends = [_short(start, structure, problem) for start in by_response(order, delayed)]
-    nested = [] if prompt is None else [np.append(prompt.params, np.log(_DELAY * problem.fine))]
-    nested += [] if lower is None else best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
-    for some in (nested if ends else [], None):
-        if ends and _settled(ends, bound, structure, problem):
-            break
-        if some is None:
-            some = best_starts(structure, problem, roots(order), most=2) + ([] if ends else nested)
-        ends += [_short(s, structure, problem) for s in some]
+
+    def fitted(starts) -> list[Ending]:
+        return [_short(start, structure, problem) for start in starts]
+
+    ends, nested = fitted(by_response(order, delayed)), []
+    if prompt is not None:
+        nested.append(np.append(prompt.params, np.log(_DELAY * problem.fine)))
+    if lower is not None:
+        nested += best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
+    if ends and not _settled(ends, bound, structure, problem):
+        ends, nested = ends + fitted(nested), []
+    if not ends or not _settled(ends, bound, structure, problem):
+        ends += fitted(best_starts(structure, problem, roots(order), most=2) + nested)
     return min(ends, key=lambda e: e[1], default=(np.zeros(0), np.inf, False))
 
 

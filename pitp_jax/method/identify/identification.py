@@ -261,8 +261,8 @@ def _wrong_structure(
             f"The input is a sine of one frequency, {lines[0]:.3g} Hz, which determines two numbers: order and "
             "coefficients are not determined. Add steps, a sweep or a second frequency"
         )
-    zeros = None if is_noise(problem) else needed_zeros(chosen, problem, response)
-    return None if zeros is None else str(zeros)
+    zeros = not is_noise(problem) and needed_zeros(chosen, problem, response)
+    return str(zeros) if zeros else None
 
 
 def _check_options(
@@ -455,7 +455,10 @@ def _to_model(
         substeps=substeps(a, dt),
         domain=Domain(dt, (np.inf, -np.inf), 0.0, noise=noise).driven_by(records),
     )
-    parts = [effect("delay", time=chosen.delay)] if chosen.delay > 0 else []
-    parts += [effect("voltage_offset", offset=chosen.input_offset)] if chosen.input_offset else []
+    parts = []
+    if chosen.delay > 0:
+        parts.append(effect("delay", time=chosen.delay))
+    if chosen.input_offset:
+        parts.append(effect("voltage_offset", offset=chosen.input_offset))
     model = replace(model, effects=tuple(parts))
     return Fitted(model, with_excited(origin, records))

@@ -118,7 +118,7 @@ def _left(roots: np.ndarray, delay: float, powers: slice, problem: Problem, hold
         problem.forces, problem.output, problem.weight, problem.beginnings, strict=True
     ):
         time = np.arange(len(force)) * problem.dt
-        late = np.interp(time - delay, time, force) - (force[0] if b.begins != "rest" else 0.0)
+        late = np.interp(time - delay, time, force) - (b.begins != "rest") * force[0]
         columns = np.real(np.stack([mode(p, late, hold) for p in z], 1) @ residues) + late[:, None] * (k == len(z))
         own = [np.ones(len(time))]
         if b.begins == "moving":

@@ -76,6 +76,15 @@ class OrderFit(Shown):
     delay_stderr: float = 0.0
     input_offset: float = 0.0
 
+    @property
+    def hidden(self) -> list[int]:
+        """Return which coefficients an integrating or static plant does not show."""
+        return _hidden(self.static, self.integrates)
+
+
+def _hidden(static: bool, integrates: bool) -> list[int]:
+    return [0] * integrates + [1] * static
+
 
 def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     """Return one fitted order in physical units: coefficients, standard errors, errors used for comparison."""
@@ -89,7 +98,6 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
     stderr[: structure.integrates] = coefficients[0]
     determined, static = _determined(error, spread)
     known = candidate.converged and determined
-    hidden = [0] * structure.integrates + [1] * static
     upper = np.flatnonzero(np.imag(poles) >= 0)
     upper = upper[np.argsort(np.abs(poles[upper]))]
     size, angle = np.abs(poles[upper]), np.angle(poles[upper])  # of a pole at -0: pi
@@ -111,7 +119,8 @@ def describe(candidate: Candidate, problem: Problem) -> OrderFit:
         polarity=float(np.sign(solved.gains[0]) or 1.0),
         converged=candidate.converged,
         poles_known=known,
-        identifiable=known and bool(np.delete(stderr < np.abs(coefficients), hidden).all()),
+        identifiable=known
+        and bool(np.delete(stderr < np.abs(coefficients), _hidden(static, structure.integrates)).all()),
         static=static,
         integrates=structure.integrates,
         delay=error.delay,

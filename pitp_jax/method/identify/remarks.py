@@ -90,13 +90,11 @@ def _weak(fit: OrderFit) -> list[str]:
     It is reported from a standard error of 10 % on, with the coefficients of at least 0.3 times its largest part.
     """
     relative = fit.stderr / np.abs(fit.coefficients)
-    # an unknown coefficient of these two kinds has a remark of its own
-    hidden = {1} if fit.static else set()
-    hidden = {0} if fit.integrates else hidden
-    without = [i for i, e in enumerate(relative) if e > 1 and i not in hidden]
+    # an unknown coefficient of the hidden kinds has a remark of its own
+    without = [i for i, e in enumerate(relative) if e > 1 and i not in fit.hidden]
     names = ", ".join(f"a{i}" for i in without)
     said = [f"Not known, because without influence on these recordings: {names}."] if without else []
-    rest = [i for i in range(fit.order + 1) if i not in (*without, *hidden)]
+    rest = [i for i in range(fit.order + 1) if i not in (*without, *fit.hidden)]
     spread = (fit.correlation * np.outer(relative, relative))[np.ix_(rest, rest)]
     values, vectors = np.linalg.eigh(spread)
     if len(rest) < 2 or not np.isfinite(values).all() or values[-1] < 0.1**2:

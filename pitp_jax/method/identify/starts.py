@@ -23,14 +23,15 @@ def best_starts(structure: Structure, problem: Problem, roots: list[np.ndarray],
 
     Without a spring, the input's offset at first balances its mean: the motion of a recording is bounded.
     """
+    delays = [[np.log(delay * problem.dt)] for delay in _DELAYS] if structure.delayed else [[]]
     scored, mean = [], float(np.mean(np.concatenate(problem.drive)))
     for some in roots:
         if len(some) != structure.moved or not np.isfinite(some).all():
             continue
         logs = bounded(logs_from_roots(some), 0.0, 0.99 * FASTEST / problem.fine)
         logs = np.append(logs, [-mean] * structure.integrates)
-        for delay in _DELAYS if structure.delayed else (None,):
-            params = logs if delay is None else np.append(logs, np.log(delay * problem.dt))
+        for delay in delays:
+            params = np.append(logs, delay)
             scored.append((params, OutputError(params, structure, problem).cost))
     chosen: list[np.ndarray] = []
     for params, cost in sorted(scored, key=lambda s: s[1]):
