@@ -15,7 +15,7 @@ import pitp_jax
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 5888, "method/numerics": 9900, "method/signal": 13285, "method/model": 12480, "method/effects": 11343,
-    "method/simulate": 18849, "method/fit": 7470, "method/identify": 25081, "method/train": 15470,
+    "method/simulate": 18849, "method/fit": 7470, "method/identify": 24764, "method/train": 15403,
     "method/invert": 19009, "method/diagnose": 50528, "method/adapt": 4807, "files/containers": 31885,
     "files/recordings": 12803, "files/model_file": 5660, "files/export": 11390, "files/mjcf": 8864,
     "application/commands": 18426, "application/pages": 10970, "application/compare": 10619, "application/plan": 9335,
