@@ -103,13 +103,10 @@ def _jumps(drive: np.ndarray) -> np.ndarray:
 def _spikes(y: np.ndarray, step: float) -> np.ndarray:
     """Return where one to three samples lie far from the chord between their neighbours, on one side, shape (T,)."""
     bad = np.zeros(len(y), dtype=bool)
+    # a spike starts with a step almost as long as its distance from the chord: few places
+    first = np.flatnonzero(np.abs(np.diff(y[2:])) > (_FAR - 1) * step)
     for run in range(1, _LONGEST_SPIKE + 1):
-        count = len(y) - run - 5
-        if count <= 0:
-            break
-        # only where the first sample of the run is that far off its chord: few places
-        before, after = y[2 : 2 + count], y[run + 3 : run + 3 + count]
-        at = np.flatnonzero(np.abs(y[3 : 3 + count] - before - (after - before) / (run + 1)) > _FAR * step)
+        at = first[first < len(y) - run - 5]
         # three samples before the run and three after it, for every such place at once
         a, b, c, d, e, f = (y[at + k] for k in (0, 1, 2, run + 3, run + 4, run + 5))
         local = np.maximum.reduce([np.abs(p - q) for p, q in ((a, b), (b, c), (c, d), (d, e), (e, f))])
