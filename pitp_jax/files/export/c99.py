@@ -22,6 +22,16 @@ from .plan import Plan, rate_error, whole_folder
 from .writing import Writer
 
 TEMPLATES = Path(__file__).parent / "templates"
+_FORCES = {  # expressions of C by whether the force is the square of the voltage
+    False: {
+        "force_of": "u", "force_error": "u - (double)planned[k]", "target_error": "got - right",
+        "target_force": "right",
+    },
+    True: {
+        "force_of": "u * u", "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])",
+        "target_error": "(got * got) - (right * right)", "target_force": "right * right",
+    },
+}  # fmt: skip
 
 
 def export_c(
@@ -66,7 +76,6 @@ def write_sources(plan: Plan, folder: Path) -> None:
         written.append(writer.function(f"{what}_start", step.start, 0, 0))
         written.append(writer.function(f"{what}_core", step.run, step.states, outputs))
     functions = "\n".join(written)
-    root = "sqrtf(kept)" if plan.single else "sqrt(kept)"
     values["functions"], values["beside"] = functions, "\n".join(writer.beside)
     values["helpers"] = writer.helpers(functions + values["beside"])
     square, n = plan.model.input_map.one_sided, plan.model.order
@@ -74,8 +83,7 @@ def write_sources(plan: Plan, folder: Path) -> None:
         "weights": table(writer, plan.differentiator.weights), "onward": table(writer, plan.reference()),
         "units": table(writer, plan.reference_time ** -np.arange(n + 1.0)).strip(),
         "sign": writer.number(float(sign(plan.model))), "sensor": writer.number(float(direction(plan.model))),
-        "force_of": "u * u" if square else "u",
-        "voltage_of": root if square else "kept",
+        "voltage_of": writer.call("sqrt", ["kept"]) if square else "kept", **_FORCES[square],
     }  # fmt: skip
     fill("model.c", values, folder / f"{values['id']}.c")
 
@@ -83,13 +91,10 @@ def write_sources(plan: Plan, folder: Path) -> None:
 def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
     """Write the files beside the C sources: test vector, Makefile, example loop and README."""
     values, writer, test = frame(plan, cost), Writer("c", plan.single), plan.test
-    square, rows = plan.model.input_map.one_sided, slice(test.every - 1, None, test.every)
-    values |= {
+    rows = slice(test.every - 1, None, test.every)
+    values |= _FORCES[plan.model.input_map.one_sided] | {
         "voltage": table(writer, test.voltage[rows]), "displacement": table(writer, test.displacement[rows]),
         "targets": table(writer, test.motion[rows]), "planned": table(writer, test.planned[rows]),
-        "force_error": "(u * u) - ((double)planned[k] * (double)planned[k])" if square else "u - (double)planned[k]",
-        "target_error": "(got * got) - (right * right)" if square else "got - right",
-        "target_force": "right * right" if square else "right",
         "stroke": repr(float(test.motion[np.argmax(np.abs(test.motion[:, 0])), 0])),
         "slow": repr(plan.model.natural_frequency / 2), "target_tolerance": repr(ALLOWED),
         "period": f"{1e6 * plan.dt:.0f}_us", "hz": f"{1 / plan.dt:g}",
@@ -102,19 +107,18 @@ def write_frame(plan: Plan, folder: Path, cost: float | None) -> None:
 
 def frame(plan: Plan, cost: float | None) -> dict[str, str]:
     """Return the values that README and check of any language contain, as text."""
-    test, precision = plan.test, "single" if plan.single else "double"
+    test, bounds = plan.test, plan.numbers
     full = max(float(np.ptp(test.displacement)), plan.stroke)
     # a reading far from zero is rounded, in float by more than the bound
-    kind = np.float32 if plan.single else np.float64
-    rounding = float(np.spacing(kind(np.abs(test.displacement).max()))) / full
+    rounding = float(np.spacing(bounds.kind(np.abs(test.displacement).max()))) / full
     return substitutions(plan) | {
         "excited": trained_words(Fitted(plan.model, plan.origin)),
         "count": str(planning.SAMPLES), "every": str(test.every), "what": test.what, "range": repr(full),
         "force_range": repr(float(np.abs(test.planned).max() ** (2 if plan.model.input_map.one_sided else 1))),
-        "tolerance": repr(planning._PREDICTED[precision] + rounding),
-        "force_tolerance": repr(planning._PLANNED[precision]),
+        "tolerance": repr(bounds.predicted + rounding),
+        "force_tolerance": repr(bounds.planned),
         "rate_note": "" if cost is None else f"Its own rate is {1 / plan.model.dt:g} Hz; running at this one changes "
-        f"its predictions by {cost:.2g} % of range (e_rms).\n", "precision": precision,
+        f"its predictions by {cost:.2g} % of range (e_rms).\n", "precision": plan.precision,
     }  # fmt: skip
 
 
@@ -134,7 +138,7 @@ def substitutions(plan: Plan) -> dict[str, str]:
     }  # fmt: skip
     identifier = f"pitp_{plan.name}"
     return {key: writer.number(value) for key, value in numbers.items()} | {
-        "id": identifier, "UP": identifier.upper(), "real": "float" if plan.single else "double",
+        "id": identifier, "UP": identifier.upper(), "real": plan.numbers.real,
         "dt": f"{plan.dt:g}", "order": str(model.order), "tokens": str(model.order + 1),
         "model_states": str(plan.predict.states), "plan_states": str(plan.inverse.states),
         "blocks": str(BLOCKS), "block": str(differentiates.block), "window": str(BLOCKS * differentiates.block),
@@ -166,7 +170,7 @@ def loop_text(gains: PIGains) -> str:
 
 def sizes(plan: Plan) -> dict[str, str]:
     """Estimate the load on a controller: RAM and constants (bytes), and operations per call."""
-    width, n, block = 4 if plan.single else 8, plan.model.order, plan.differentiator.block
+    width, n, block = plan.numbers.kind().itemsize, plan.model.order, plan.differentiator.block
     reals = 2 * plan.predict.states + plan.inverse.states + (BLOCKS + 1) * block + (n + 1) + 10
     predict, inverse = plan.predict.run.operations(), plan.inverse.run.operations()
     window = (2 * BLOCKS + 1) * (n + 1) + block

@@ -149,8 +149,8 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write the test vector as FMI cross-check files, a README, and a script that checks the FMU."""
     test, name = plan.test, values["id"]
     time = np.arange(len(test.voltage)) * plan.dt
-    square = plan.model.input_map.one_sided
-    values |= {"force_error": "u**2 - planned**2" if square else "u - planned"}
+    power = "**2" * plan.model.input_map.one_sided
+    values |= {"force_error": f"u{power} - planned{power}"}
     fill("check_fmu.txt", values, folder / "check.py")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]
     _csv(folder / f"{name}_in.csv", ["time", "voltage", *words], [time, test.voltage, *test.motion.T])

@@ -44,12 +44,12 @@ def export_matlab(
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write a README, and a MATLAB function that checks the functions with the test vector."""
-    test, square = plan.test, plan.model.input_map.one_sided
+    test, power = plan.test, " .^ 2" * plan.model.input_map.one_sided
     rows = slice(test.every - 1, None, test.every)
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
     values |= {name: ";\n".join(map(repr, column[rows].tolist())) for name, column in columns.items()}
     values["targets"] = ";\n".join(" ".join(map(repr, row)) for row in test.motion[rows].tolist())
-    values["force_error"] = "u .^ 2 - planned .^ 2" if square else "u - planned"
+    values["force_error"] = f"u{power} - planned{power}"
     fill("check.m", values, folder / f"pitp_{plan.name}_check.m")
     fill("README_matlab.md", values, folder / "README.md")
 

@@ -39,11 +39,28 @@ from .equilibria import stroke
 from .pi_gains import PIGains, pi_gains, slew_of
 
 SAMPLES = 1000  # of the test vector that is exported with the code
-_PERIODS, _COVERED = 3, 0.25  # of the resonance, and part of the stroke: a test vector covers at least these
 _NONE = 1e30  # no limit, in float as in double
-_SMALLEST = 20e-6  # m: the smallest motion single precision has to follow, or a fiftieth of the stroke
-_SILENT = 0.02  # s without a target before the voltage ramps to 0 V
-_PREDICTED, _PLANNED = {"double": 1e-9, "single": 1e-4}, {"double": 1e-9, "single": 1e-3}  # bounds of the test vector
+
+
+@dataclass(frozen=True)
+class Precision:
+    """A type of numbers in the exported code.
+
+    Attributes:
+        real: its name in C.
+        kind: the same type of NumPy.
+        predicted, planned: bounds of the errors of displacement and force in the test vector, relative to their ranges.
+    """
+
+    real: str
+    kind: type
+    predicted: float
+    planned: float
+
+
+PRECISIONS = {
+    "double": Precision("double", np.float64, 1e-9, 1e-9), "single": Precision("float", np.float32, 1e-4, 1e-3)
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -64,7 +81,7 @@ class Plan:
         origin: its longest record is the test vector.
         dt: s between two steps.
         name: of files and functions, an identifier.
-        single: float instead of double.
+        precision: "double" or "single".
         held: the voltage is held over a step (`steps.predict`).
         time_constant: of the closed loop, s; None: the default of `pi_gains`; inf: no controller.
     """
@@ -73,9 +90,19 @@ class Plan:
     origin: Origin
     dt: float
     name: str
-    single: bool = False
+    precision: str = "double"
     held: bool = False
     time_constant: float | None = None
+
+    @property
+    def numbers(self) -> Precision:
+        """Return the type of the code's numbers."""
+        return PRECISIONS[self.precision]
+
+    @property
+    def single(self) -> bool:
+        """Return whether the code computes in float."""
+        return self.precision == "single"
 
     @property
     def units(self) -> Units:
@@ -137,7 +164,7 @@ class Plan:
     @property
     def silent(self) -> int:
         """Return the number of calls without a target after which the voltage ramps to 0 V."""
-        return max(int(np.ceil(_SILENT / self.dt)), 1)
+        return max(int(np.ceil(0.02 / self.dt)), 1)
 
     @cached_property
     def differentiator(self) -> Differentiator:
@@ -147,9 +174,9 @@ class Plan:
             BadInput: single precision is too coarse for it.
         """
         model, full = self.model, stroke(self.model)
-        smallest = min(full, max(full / 50, _SMALLEST))
-        kind = np.float32 if self.single else np.float64
-        rounding = float(np.spacing(kind(full))) / np.sqrt(12) / (smallest / 2)
+        # the smallest motion that single precision has to follow: a fiftieth of the stroke, or 20 um
+        smallest = min(full, max(full / 50, 20e-6))
+        rounding = float(np.spacing(self.numbers.kind(full))) / np.sqrt(12) / (smallest / 2)
         window, error = differentiator(
             model.physical_coefficients, self.dt, model.natural_frequency, rounding, self.late
         )
@@ -219,7 +246,7 @@ def plan(
         raise BadInput(
             f"--name {name[:60]!r}: is not an identifier; use letters, digits and _, a letter first, at most 40"
         )
-    if precision not in ("single", "double"):
+    if precision not in PRECISIONS:
         raise BadInput(f"--precision {precision!r}: is not single or double")
     if rate is not None and not (np.isfinite(rate) and rate > 0):
         raise BadInput(f"--rate {rate!r}: must be a positive number of Hz")
@@ -227,7 +254,7 @@ def plan(
     own = fitted.dt
     with jax.enable_x64(True):
         double = in_double(fitted.model)
-    made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision == "single", held, time_constant)
+    made = Plan(double, fitted.origin, 1 / rate if rate else own, name, precision, held, time_constant)
     if not made.dt <= 100 * own:
         raise BadInput(f"--rate {rate:g}: too low; give at least a hundredth of the model's {1 / own:g} Hz")
     return made
@@ -256,8 +283,8 @@ def within(plan: Plan, wanted: np.ndarray) -> np.ndarray:
 
 def _vector(plan: Plan) -> Vector:
     # at a high rate the numbers of a file are several samples apart, so that the actuator moves within them
-    periods = _PERIODS * 2 * np.pi / plan.model.natural_frequency
-    every = max(int(np.ceil(periods / (SAMPLES * plan.dt))), 1)
+    resonance = 2 * np.pi / plan.model.natural_frequency
+    every = max(int(np.ceil(3 * resonance / (SAMPLES * plan.dt))), 1)
     low, high, _ = plan.voltages
     stored, what = plan.origin.long_record, "a record the model was identified on"
     u, y = np.zeros(0), np.zeros(1)
@@ -266,7 +293,8 @@ def _vector(plan: Plan) -> Vector:
         first, voltage = 0 if stored.rest else np.argmin(np.abs(record.voltage)), plan.units.input.shown(record.voltage)
         u = np.interp(np.arange(1, SAMPLES + 1) * every * plan.dt, record.time - record.time[first], voltage)
         u, y = _answered(plan, u, every)
-    if np.ptp(y) < _COVERED * plan.stroke:
+    # a test vector covers three periods of the resonance and a quarter of the stroke
+    if np.ptp(y) < 0.25 * plan.stroke:
         what, t = "a sum of sines", np.arange(SAMPLES) * every * plan.dt * plan.model.natural_frequency
         widest = float(plan.model.input_map.voltage(jnp.asarray(plan.model.scales.force)))
         top = high if high < _NONE else float(plan.units.input.shown(widest))

@@ -12,19 +12,27 @@ import numpy as np
 
 from ...method.numerics.scalar.scalars import Loop, Node, Program
 
-_SHORT = 70  # characters of an expression that may stand within another
 _INFIX = {
     "add": "+", "sub": "-", "mul": "*", "div": "/", "lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==",
     "ne": "!=", "and": "&&", "or": "||", "xor": "!=",
+}  # fmt: skip
+_C = {op: f"({{0}} {sign} {{1}})" for op, sign in _INFIX.items()} | {
+    "neg": "(-{0})", "not": "(!{0})", "select": "({0} ? {2} : {1})", "real": "({0} ? ONE : ZERO)",
+    "is_finite": "isfinite({0})", "infinity": "({0}(real)INFINITY)", "place": "{0}[{1}]",
+}  # fmt: skip
+_PATTERNS = {  # by language and operation; a place is counted from 0 and from 1
+    "c": _C,
+    "matlab": _C | {
+        "ne": "({0} ~= {1})", "xor": "({0} ~= {1})", "not": "(~{0})", "select": "pick({0}, {2}, {1})",
+        "real": "double({0})", "infinity": "({0}Inf)", "place": "{0}({2})",
+    },
 }  # fmt: skip
 _HELPERS = {
     "larger": "static real larger(real a, real b)\n{\n    return (a > b) ? a : b;\n}\n",
     "smaller": "static real smaller(real a, real b)\n{\n    return (a < b) ? a : b;\n}\n",
     "sign_of": "static real sign_of(real a)\n{\n    return (a > ZERO) ? ONE : ((a < ZERO) ? -ONE : ZERO);\n}\n",
 }
-_NAMES = {"max": "larger", "min": "smaller", "sign": "sign_of", "abs": "fabs", "rem": "fmod"}
-_MATLAB = {"sign_of": "sign", "larger": "max", "smaller": "min", "fabs": "abs", "fmod": "rem"}
-_OWN = (*_HELPERS, "isfinite")  # not functions of libm, which have no float variants
+_NAMES = {"max": "larger", "min": "smaller", "sign": "sign_of", "abs": "fabs", "rem": "fmod"}  # of functions in C
 
 
 @dataclass
@@ -47,15 +55,14 @@ class Writer:
             return "true" if value else "false"
         value = float(value)
         if not np.isfinite(value):
-            sign = "-" if value < 0 else ""
-            return f"({sign}Inf)" if self.language == "matlab" else f"({sign}(real)INFINITY)"
+            return self.call("infinity", ["-" * (value < 0)])
         if self.single:
             top = float(np.finfo(np.float32).max)  # beyond float's range a limit stays a number
             text = str(np.float32(min(max(value, -top), top)))
         else:
             text = repr(value)
         text = text if any(c in text for c in ".e") else text + ".0"  # 1 / 2 of two integers is 0 in C
-        text += "f" if self.single else ""
+        text += "f" * self.single
         return f"({text})" if value < 0 else text  # after a minus sign it would read as a decrement
 
     def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
@@ -79,8 +86,8 @@ class Writer:
             elif node.op == "item":
                 names[node] = self._place(names[node.args[0]], node.args[1])
             else:
-                written = self._operation(node.op, [text(a) for a in node.args])
-                if uses[node] == 1 and len(written) < _SHORT and not node.truth:
+                written = self.call(node.op, [text(a) for a in node.args])
+                if uses[node] == 1 and len(written) < 70 and not node.truth:
                     names[node] = written
                 else:
                     names[node] = f"v{node.place}"
@@ -111,40 +118,29 @@ class Writer:
         """Return the C helper functions that a text uses."""
         return "\n".join(code for name, code in _HELPERS.items() if f"{name}(" in text)
 
-    def _operation(self, op: str, args: list[str]) -> str:
-        if op in _INFIX:
-            sign = "~=" if self.language == "matlab" and _INFIX[op] == "!=" else _INFIX[op]
-            return f"({args[0]} {sign} {args[1]})"
-        if op == "neg":
-            return f"(-{args[0]})"
-        if op == "not":
-            return f"(~{args[0]})" if self.language == "matlab" else f"(!{args[0]})"
-        if op == "select":
-            if self.language == "matlab":
-                return f"pick({args[0]}, {args[2]}, {args[1]})"
-            return f"({args[0]} ? {args[2]} : {args[1]})"
-        if op == "real":
-            return f"double({args[0]})" if self.language == "matlab" else f"({args[0]} ? ONE : ZERO)"
-        name = "isfinite" if op == "is_finite" else _NAMES.get(op, op)
-        if self.language == "matlab":
-            name = _MATLAB.get(name, name)
-        elif self.single and name not in _OWN:
-            name += "f"
-        return f"{name}({', '.join(args)})"
+    def call(self, op: str, args: list[str]) -> str:
+        """Write an operation on arguments that are written already."""
+        pattern = _PATTERNS[self.language].get(op)
+        if pattern:
+            return pattern.format(*args)
+        if self.language == "c":
+            op = _NAMES.get(op, op)
+            op += "f" * (self.single and op not in _HELPERS)  # functions of libm have float variants
+        return f"{op}({', '.join(args)})"
 
     def _line(self, name: str, text: str, truth: bool) -> str:
-        text = text[1:-1] if text.startswith("(") and _closes(text) else text
+        text = _bare(text)
         if self.language == "matlab":
             return f"{name} = {text};"
         return f"const {'bool' if truth else 'real'} {name} = {text};"
 
     def _as_number(self, value, text: str) -> str:
         if isinstance(value, bool) or (isinstance(value, Node) and value.truth):
-            return self._operation("real", [text])
-        return text[1:-1] if text.startswith("(") and _closes(text) else text
+            return self.call("real", [text])
+        return _bare(text)
 
     def _place(self, name: str, k: int) -> str:
-        return f"{name}({k + 1})" if self.language == "matlab" else f"{name}[{k}]"
+        return _PATTERNS[self.language]["place"].format(name, k, k + 1)
 
     def _places(self, name: str, count: int) -> list[str]:
         return [self._place(name, k) for k in range(count)]
@@ -202,11 +198,11 @@ class Writer:
         ]
 
 
-def _closes(text: str) -> bool:
-    """Return whether the first parenthesis of a text is closed by its last character."""
+def _bare(text: str) -> str:
+    """Remove parentheses around a whole expression."""
     depth = 0
-    for k, c in enumerate(text):
+    for c in text[:-1]:
         depth += (c == "(") - (c == ")")
         if depth == 0:
-            return k == len(text) - 1
-    return False
+            break
+    return text[1:-1] if depth else text

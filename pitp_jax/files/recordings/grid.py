@@ -92,6 +92,7 @@ def on_grid(rows: Rows, rate: float | None = None) -> Gridded:
     line, packets = _grid(rows), False
     if line is None and (line := _packets(rows)) is not None:
         packets = True
+        # the mean rate of packets is not exact
         if rate is not None and abs(line.dt * rate - 1.0) <= 0.03:
             line = replace(line, dt=1 / rate)
         elif rate is None and line.off.max() > 0.01 * len(rows.time):  # such late stamps do not determine the rate
@@ -243,6 +244,7 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
         stretches = np.split(voltage, np.flatnonzero(np.diff(index) > 1) + 1)
     moving = [part for part in stretches if len(part) > 8 and np.ptp(part) > 1e-6 * np.abs(part).max()]
     fastest = force_band(moving, dt) if moving else 0.0
+    # a tenth of a period of the fastest input
     return min(0.1 / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
 
 

@@ -94,6 +94,7 @@ def has_few(values: np.ndarray, most: int) -> bool:
 def _jumps(drive: np.ndarray) -> np.ndarray:
     """Return the samples near a step of the input, where a fast output is a response and not a fault, shape (T,)."""
     steps = np.abs(np.diff(drive, prepend=drive[:1]))
+    # a step of the input exceeds a part of its range and its usual step
     far = steps > 0.05 * float(np.ptp(drive))
     if far.any():
         far &= steps > 5 * float(np.median(steps))
@@ -181,6 +182,7 @@ def _standing(y: np.ndarray, step: float, drive: np.ndarray, runs: list[tuple[in
         return mask
     longest, swing = _longest_by_chance(y, mask), np.ptp(drive)
     for begin, end in runs:
+        # no motion is so slow that it stands while the input sweeps half of its range
         sweeps = end - begin >= 8 and np.ptp(drive[begin:end]) > 0.5 * swing
         around = np.abs(np.diff(y[begin - 3 : begin])), np.abs(np.diff(y[end : end + 3]))
         jump = abs(y[min(end, len(y) - 1)] - y[begin]) > _FAR * max(step, *np.concatenate(around))
@@ -218,4 +220,5 @@ def _longest_by_chance(y: np.ndarray, apart: np.ndarray) -> float:
     if not len(moving) or _is_quiet(seen, moving):
         return np.inf
     p = max(float(np.mean(steps == 0)), float(moving.min()) / (2 * np.sqrt(np.pi) * noise_std(seen)), 1e-4)
+    # odds of such a run in a record
     return np.inf if p > 0.5 else 1 + np.log(1e-6 / len(y)) / np.log(p)

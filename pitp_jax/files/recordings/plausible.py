@@ -77,6 +77,7 @@ def questions(voltage: np.ndarray, displacement: np.ndarray, unit: str) -> list[
 def monitor_warning(records: Sequence[Record]) -> str | None:
     """Return a question if the input, whose square drives the motion, stays within a monitor's 10 V; otherwise None."""
     highest = max(float(np.abs(record.voltage).max()) for record in records)
+    # 10 V: the range of a DAQ
     if not 0 < highest <= 10.0 or any(base_unit(record.voltage_unit) != "V" for record in records):
         return None
     return (

@@ -99,6 +99,7 @@ def continued(time: np.ndarray) -> tuple[np.ndarray, int]:
     usual = max(2 * float(np.median(ahead)), float(np.quantile(ahead, 0.99)))
     added = np.zeros(len(steps))
     for turn in _TURNS:
+        # a counter does not overflow every few steps
         if turn > 20 * usual:
             added[back & (steps + turn >= 0) & (steps + turn <= usual)] = turn
     return time + np.append(0.0, np.cumsum(added)), int(np.count_nonzero(added))

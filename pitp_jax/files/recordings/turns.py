@@ -60,6 +60,7 @@ def _period(values: np.ndarray, unit: str) -> float | None:
         return None
     seen = float(np.median(np.abs(steps[largest] - _beside(np.where(largest, 0.0, steps))[0][largest])))
     nearest = float(_COUNTS[np.argmin(np.abs(_COUNTS - seen))])
+    # measured from steps that also move
     return nearest if abs(nearest - seen) <= 0.02 * nearest else None
 
 
