@@ -83,7 +83,7 @@ class _Seen:
     @property
     def written(self) -> str | None:
         """Return a unit that is not in the table, as it is written: W, L/min."""
-        return written(self.unknown) if self.unknown else None
+        return written(self.unknown or "")
 
     @property
     def counts_rows(self) -> bool:
@@ -167,7 +167,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
 
 def _seen(place: int, column: Column) -> _Seen:
     header = read_header(column.name)
-    beside, spoken = (spelt(text) if text else None for text in (column.beside, column.spoken))
+    beside, spoken = (spelt(text or "") for text in (column.beside, column.spoken))
     # name, units row and comment may state it; the same unit again is one statement
     stated = tuple(dict.fromkeys(unit for unit in (header.unit, beside, spoken) if unit))
     # an unknown unit in a units row takes precedence over brackets in the name
@@ -347,7 +347,6 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     stem, name, given = OPTIONS[quantity], seen.column.name, options.unit(quantity)
     if seen.column.form == "stamp" and quantity == "time":
         return Choice(seen.place, name, "s", "dates and hours")
-    fits = seen.unit if seen.unit in units_of(quantity) else None
     said = seen.conflict or tuple(u for u in (seen.unit or seen.unknown,) if u)
     if given is not None:
         over = f"by --{stem}-unit, instead of {' and '.join(said)} in the file" if said not in ((), (given,)) else note
@@ -362,8 +361,8 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         return Choice(seen.place, name, seen.written, note)
     if seen.unknown:
         raise Refused(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_FEW[quantity]}")
-    if fits:
-        return Choice(seen.place, name, fits, note)
+    if seen.unit is not None and seen.unit in units_of(quantity):
+        return Choice(seen.place, name, seen.unit, note)
     if seen.unit is None and options.scale(quantity) is not None:
         return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
     if quantity == "time" and seen.unit is None:
@@ -385,8 +384,8 @@ def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions
     ports = [q for q in ("voltage", "displacement") if q in quantities]
     asked = any(q in problems and len(pools[q]) != 1 for q in ports)
     # of two recordings in one file (`t u y`, `t_ u_ y_`) the columns of one length belong together
-    clock = next((c.place for q, c in chosen.items() if q == "time" and c.place is not None), None)
-    rows = 0 if clock is None else len(_values(table, clock))
+    clocks = [c.place for q, c in chosen.items() if q == "time" and c.place is not None]
+    rows = max((len(_values(table, place)) for place in clocks), default=0)
     monitors = False  # an amplifier has two: if the input is one, the output is one too
     for quantity in ports:
         port = _port(table, seen, pools[quantity], free, chosen.get(quantity), quantity, taken, rows)
@@ -435,7 +434,7 @@ def _unit_words(port: _Seen, quantity: str, asked: bool, options: ReadOptions, m
 def _said(seen: Sequence[_Seen], one: _Seen) -> str:
     """Return the column's name as the value of an option, or its number if other columns share the name."""
     names = [s.column.name for s in seen]
-    return one.column.name if names.count(one.column.name) == 1 else str(one.place + 1)
+    return str(one.place + 1) if names.count(one.column.name) > 1 else one.column.name
 
 
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> dict:

@@ -49,6 +49,11 @@ class Loaded:
         """Describe a sample for a message: its number and, in a text file, its line."""
         return self.table.place(sample if self.rows is None else int(self.rows[sample]))
 
+    def at(self, rows: np.ndarray) -> "Loaded":
+        """Return these rows only."""
+        kept = rows if self.rows is None else self.rows[rows]
+        return replace(self, values={q: v[rows] for q, v in self.values.items()}, rows=kept)
+
     def words(self, quantity: str) -> str:
         """Describe how a quantity was read: `'U [V]' in V times 1000`."""
         scale, offset = self.options.scale(quantity), self.options.offset(quantity)
@@ -285,14 +290,9 @@ def _by_column(table: Table, chosen: dict[str, Choice], options: ReadOptions, na
     if len(keys) != count:
         raise BadInput(f"column {name!r} of --split-by has {len(keys)} values for {count} samples")
     # run 1.0 of a float column is named 1
-    labels = [str(k) if not isinstance(k, float) else f"{k:g}" for k in keys.tolist()]
+    labels = [f"{k:g}" if isinstance(k, float) else str(k) for k in keys.tolist()]
     first = list(dict.fromkeys(labels))
     if len(first) > 1000:  # a signal, not a run number
         raise BadInput(f"column {name!r} of --split-by has {len(first)} values; choose a column that numbers the runs")
-    parts = []
-    for label in first:
-        # a run may continue later in the file
-        rows = np.flatnonzero(np.array(labels) == label)
-        kept = rows if whole.rows is None else whole.rows[rows]
-        parts.append(replace(whole, values={q: v[rows] for q, v in whole.values.items()}, label=label, rows=kept))
-    return parts
+    # a run may continue later in the file
+    return [replace(whole.at(np.flatnonzero(np.array(labels) == label)), label=label) for label in first]

@@ -8,7 +8,7 @@ columns and units (`choice`).
 
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -118,10 +118,7 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
     bare = Layout(separator, decimal, tuple(Column("", form=form) for form in forms), first, width)
     units, above = _units_row(rows, first, widths, units_line)
     if header_line is not None:
-        names = [k for k in range(first) if rows.numbers[k] == header_line]
-        if not names:
-            raise BadInput(f"line {header_line} is empty or not above the numbers; give another --header-line")
-        above = [k for k in above if k == names[0]] or names
+        above = [_stated(rows, first, header_line, "--header-line")]
     plain_rows = [k for k in above if not rows.commented[k]]
     named = (plain_rows or above)[:4]  # a comment above a row of names is not a row of names
     readings = list(unrefused(lambda k: _named(bare, rows, k, units, widths, first), named))
@@ -131,8 +128,12 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
 def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
     """Return the most common number of cells among rows that hold numbers."""
     # half of the cells are numbers: one or two columns may be words
-    lengths = Counter(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
-    return lengths.most_common(1)[0][0] if lengths else 0
+    return most_common(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
+
+
+def most_common(lengths: Iterable[int]) -> int:
+    """Return the most common length; 0 without any."""
+    return next((length for length, _ in Counter(lengths).most_common(1)), 0)
 
 
 def _count(row: Sequence[str], decimal: str) -> int:
@@ -188,10 +189,8 @@ def _units_row(rows: Rows, first: int, widths: range, units_line: str | None) ->
     if units_line == "none":
         return [], [k for k in fits[::-1] if not _numeric(rows.cells[k])]
     if units_line is not None:
-        stated = [k for k in range(first) if rows.numbers[k] == int(units_line)]
-        if not stated:
-            raise BadInput(f"line {units_line} is empty or not above the numbers; give another --units-line")
-        return rows.cells[stated[0]], [k for k in fits[::-1] if k != stated[0]]
+        stated = _stated(rows, first, int(units_line), "--units-line")
+        return rows.cells[stated], [k for k in fits[::-1] if k != stated]
     named, united = ([k for k in fits if key.fullmatch(rows.cells[k][0])] for key in _KEYS)
     if named and united and _is_units(rows.cells[united[-1]][1:]):
         if not any(row[0] for row in rows.cells[first:] if row):  # a key without a column of its own
@@ -205,6 +204,13 @@ def _units_row(rows: Rows, first: int, widths: range, units_line: str | None) ->
     above = [k for k in names if k < united[0]][:1]
     counted = [k for k in fits[::-1] if k < united[0]][:1]
     return rows.cells[united[0]], above or names or counted or united
+
+
+def _stated(rows: Rows, first: int, line: int, option: str) -> int:
+    """Return the index of the row that the user states by its line."""
+    if line not in rows.numbers[:first]:
+        raise BadInput(f"line {line} is empty or not above the numbers; give another {option}")
+    return rows.numbers.index(line)
 
 
 def _fits(rows: Rows, k: int, widths: range) -> bool:

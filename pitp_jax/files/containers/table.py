@@ -80,6 +80,10 @@ class Stored:
     unit: Any = None
     shape: Sequence[int] = ()
 
+    def load(self) -> Any:
+        """Return the array, read if it is not yet."""
+        return self.values() if callable(self.values) else self.values
+
 
 def array_table(path: Path, stored: Iterable[Stored], form: str, part: str = "") -> Table:
     """Make a table of named arrays; a matrix of samples gives a column for each of its lines, counted from 1.
@@ -93,34 +97,30 @@ def array_table(path: Path, stored: Iterable[Stored], form: str, part: str = "")
     Raises:
         BadInput: more columns than reasonable.
     """
-    arrays = [(line, values, one.unit) for one in stored for line, values in _lines(one)]
+    arrays = [(line, load, one.unit) for one in stored for line, load in _lines(one)]
     check_columns(len(arrays))
     columns = tuple(Column(cleaned(name), _text(unit)) for name, _, unit in arrays)
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [guarded(f"a {form}", _loaded, arrays[k][1], columns[k].name) for k in places]
+        return [guarded(f"a {form}", lambda k=k: as_column(arrays[k][1](), columns[k].name)) for k in places]
 
     return Table(path, columns, load, sample, form, part)
 
 
-def _lines(one: Stored) -> list[tuple[str, Any]]:
+def _lines(one: Stored) -> list[tuple[str, Callable[[], Any]]]:
     """Return a vector; split a long matrix into `data[1]`, ..., and (time, environment, joint) into `data[1,1]`, ..."""
-    values, shape = one.values, one.shape or getattr(one.values, "shape", ())
+    shape = one.shape or getattr(one.values, "shape", ())
     # long in one dimension: an image or a map is long in both
     axis = int(np.argmax(shape)) if len(shape) else 0
     others = [size for k, size in enumerate(shape) if k != axis]
     if not (len(shape) == 2 and 1 < others[0] <= _WIDEST or len(shape) == 3) or not 1 < np.prod(others) < shape[axis]:
-        return [(one.name, values)]
+        return [(one.name, one.load)]
 
     def line(place: tuple[int, ...]) -> np.ndarray:
-        return np.moveaxis(np.asarray(values() if callable(values) else values), axis, 0)[(slice(None), *place)]
+        return np.moveaxis(np.asarray(one.load()), axis, 0)[(slice(None), *place)]
 
     places = list(np.ndindex(*others))
     return [(f"{one.name}[{','.join(str(k + 1) for k in place)}]", lambda p=place: line(p)) for place in places]
-
-
-def _loaded(values: Any, column: str) -> np.ndarray:
-    return as_column(values() if callable(values) else values, column)
 
 
 def _text(value: Any) -> str | None:

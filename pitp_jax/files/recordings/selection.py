@@ -41,11 +41,5 @@ def select_range(one: Loaded) -> Loaded:
             f"no row from {words}, because its rows last {np.nanmax(time):.6g} s; give --from and "
             "--to in seconds after its first row"
         )
-    clock = one.chosen["time"]
-    note = f"{clock.note}; " if clock.note else ""
-    return replace(
-        one,
-        values={quantity: values[inside] for quantity, values in one.values.items()},
-        rows=inside if one.rows is None else one.rows[inside],
-        chosen=one.chosen | {"time": replace(clock, note=f"{note}from {words} after its first row")},
-    )
+    clock = one.chosen["time"].noted(f"from {words} after its first row")
+    return replace(one.at(inside), chosen=one.chosen | {"time": clock})

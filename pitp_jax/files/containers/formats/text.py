@@ -9,7 +9,6 @@ import codecs
 import csv
 import io
 import re
-from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -22,7 +21,7 @@ import numpy as np
 from ....common.errors import BadInput, cleaned
 from ....common.units import spelt
 from ..guard import check_count, file_bytes, gunzip
-from ..header import MISSING, Layout, NoTable, Rows, is_number, layouts, trimmed
+from ..header import MISSING, Layout, NoTable, Rows, is_number, layouts, most_common, trimmed
 from ..names import read_header
 from ..options import ReadOptions
 from ..refusal import Refused, unrefused
@@ -291,11 +290,10 @@ def _recut(
     Names between blanks may hold single blanks. A comment may have other separators, or none behind brackets.
     """
     filled = [trimmed(row) for row in cells]  # a separator may end each row of numbers
-    widths = Counter(
+    # as many cells as most rows of numbers have
+    usual = most_common(
         len(row) for row in filled if len(row) > 1 and all(is_number(c, decimal) or is_stamp(c) for c in row)
     )
-    # as many cells as most rows of numbers have
-    usual = widths.most_common(1)[0][0] if widths else 0
 
     def recut(line: str, row: list[str], comment: bool) -> list[str]:
         if len(row) == usual or not (comment or separator == " "):
