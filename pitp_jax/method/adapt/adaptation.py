@@ -33,7 +33,6 @@ _FAR = 3.0  # times the model's own error level; a larger remaining error means 
 _SAME = 1.5  # times its own level: the error of an unchanged actuator under another excitation
 _BLIND = 10.0  # % of range: a model with this error does not show which of its parts changed
 _SURE = 0.25  # fraction of its level below which a model's own error is unknown
-_UNKNOWN = 1.0  # % of range, the level of a model without a stated error
 _MOVES = 0.2  # spread of a half relative to the whole below which it proves nothing
 
 
@@ -55,6 +54,10 @@ class Changed:
     def is_significant(self) -> bool:
         """Return whether the 95 % interval of the factor excludes 1."""
         return not self.ci95[0] <= 1.0 <= self.ci95[1]
+
+    def as_json(self) -> dict:
+        """Return the factor and its interval."""
+        return {"factor": self.factor, "ci95": list(self.ci95)}
 
 
 @dataclass(frozen=True, repr=False)
@@ -85,8 +88,8 @@ class Adaptation(Shown):
 
     def as_json(self) -> dict:
         """Return the adaptation as the dict of `pitp adapt --json`."""
-        rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in self.changed.items()}
-        values = {"verdict": self.verdict, "changed": rows, "before": self.before, "after": self.after}
+        changed = {name: c.as_json() for name, c in self.changed.items()}
+        values = {"verdict": self.verdict, "changed": changed, "before": self.before, "after": self.after}
         return {**values, "heldout": self.heldout, "advice": [self.advice] if self.advice else []}
 
 
@@ -117,7 +120,8 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     middle = float(seen.target[seen.weight > 0].mean())
     factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
     # the day's sensor may be another one: its noise is not a change of the actuator
-    level = float(np.hypot(np.nan_to_num(fitted.origin.level, nan=_UNKNOWN), np.sqrt(np.mean(seen.noise**2))))
+    # a model without a stated error is taken to have 1 % of range
+    level = float(np.hypot(np.nan_to_num(fitted.origin.level, nan=1.0), np.sqrt(np.mean(seen.noise**2))))
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
@@ -205,7 +209,7 @@ def _made(fitted: Fitted, factors: Factors, z: np.ndarray, records: Sequence[Rec
         sections = sections_of(model.physical_coefficients)
         if isinstance(plain(model.encoder), ConstantEncoder) and len(sections) == model.order:
             model = replace(model, scales=replace(model.scales, sections=sections))
-    rows = {name: {"factor": c.factor, "ci95": list(c.ci95)} for name, c in changed.items()}
+    rows = {name: c.as_json() for name, c in changed.items()}
     # the covariance was of the old coefficients, and the misfit of the old records
     origin = replace(
         fitted.origin.of_other_coefficients(),

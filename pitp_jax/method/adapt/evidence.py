@@ -17,9 +17,7 @@ from jaxtyping import Float
 from ..fit.factors import TILTS, Factors
 
 _CHANGED, _ALONG = 0.1, 0.3  # probabilities: of any change; that a parameter is part of it
-_EACH = 4.0  # decrease of z' C^-1 z required per parameter, once there is a change: two standard deviations
 _UNSEEN = 1e-10  # of the largest eigenvalue of H, which is at least 1: the smallest that counts
-_ALIGNED = 10.0  # N: with it z' C^-1 z of unchanged virtual actuators was at most its dimension
 
 
 def covariance(
@@ -40,7 +38,8 @@ def covariance(
     samples = np.count_nonzero(residual)  # padded and missing samples are exactly zero
     # lines / (lines - count): the fit has removed `count` of them from the residual, as degrees of freedom
     noise = inverse @ meat @ inverse * lines / max(lines - count, 1.0)
-    return noise + model_error**2 / _ALIGNED * samples * inverse
+    # with N = 10, z' C^-1 z of unchanged virtual actuators was at most its dimension
+    return noise + model_error**2 / 10 * samples * inverse
 
 
 def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
@@ -60,7 +59,7 @@ def subsets(factors: Factors) -> Iterator[tuple[str, ...]]:
 
 def directions(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
     """Return the matrix A from changes of named parameters to all coordinates z, shape (numbers, names)."""
-    return np.stack([factors.direction(n) for n in names], 1) if names else np.zeros((len(factors.names), 0))
+    return np.reshape([factors.direction(n) for n in names], (-1, len(factors.names))).T
 
 
 def prior_of(factors: Factors, names: tuple[str, ...]) -> np.ndarray:
@@ -91,7 +90,8 @@ def select(z: np.ndarray, spread: np.ndarray, factors: Factors) -> tuple[str, ..
     def beside(names):
         a = directions(factors, names)
         unmoved = z - a @ combined(a, z, spread)
-        return unmoved @ np.linalg.solve(spread, unmoved) + _EACH * sum(name not in TILTS for name in names)
+        # two standard deviations for each parameter
+        return unmoved @ np.linalg.solve(spread, unmoved) + 4 * sum(name not in TILTS for name in names)
 
     every = list(subsets(factors))  # the first is the empty one
     return min(every[1:], key=beside) if max(every, key=evidence) else ()

@@ -145,7 +145,7 @@ class Problem:
 
     def fit(
         self, free: np.ndarray, weight: np.ndarray, prior: np.ndarray, *,
-        first: np.ndarray | None = None, fixed: np.ndarray | float = 0.0,
+        first: np.ndarray | float = 0.0, fixed: np.ndarray | float = 0.0,
     ) -> Fit:  # fmt: skip
         """Fit the parameters z = fixed + free q by least squares, together with offsets and initial states.
 
@@ -153,7 +153,7 @@ class Problem:
             free: directions that may change, shape (numbers, q).
             weight: of the samples, shape (records, T): 0 or 1.
             prior: standard deviations of q.
-            first: q to start from; default 0.
+            first: q to start from.
             fixed: where q is 0.
         """
         s, count, records, shifts = self.seen, free.shape[1], len(self.seen.voltage), self.shifts
@@ -180,7 +180,7 @@ class Problem:
             gradient = unit**2 * jacobian.T @ e + p / spread**2
             return Normal(float(cost), gradient, unit**2 * jacobian.T @ jacobian + np.diag(spread**-2.0))
 
-        start = np.concatenate([np.zeros(count) if first is None else first, np.zeros(shifts + records)])
+        start = np.concatenate([np.zeros(count) + first, np.zeros(shifts + records)])
         upper = np.full(len(start), np.inf)
         upper[:count][~times] = np.log(10.0)  # also marks the logarithms, whose steps `minimise` keeps short
         minimise(normal, start, upper, _MOST_STEPS, _ENOUGH)

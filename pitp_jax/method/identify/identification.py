@@ -16,7 +16,7 @@ import numpy as np
 from scipy.signal import StateSpace
 from threadpoolctl import threadpool_limits
 
-from ...common.errors import BadInput, ComputationFailed
+from ...common.errors import ComputationFailed, refuse_if
 from ...common.shown import Shown
 from ..effects import effect
 from ..model.coverage import with_excited
@@ -269,16 +269,20 @@ def _check_options(
     order: int | str, input_map: str | None, hold: str | None, learn: Sequence[str], leave_out: Sequence[str]
 ) -> None:
     """Refuse options of `identify` that do not exist or that exclude each other."""
-    if input_map not in INPUT_MAPS:
-        raise BadInput(f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}")
-    if order != "auto" and order not in ORDERS:
-        raise BadInput(f"order {order!r} is not supported; use 1 to 6, or auto")
-    if hold is not None and hold not in (*_HOLDS, "bandlimited"):
-        raise BadInput(f"unknown hold {hold!r}; use one of {', '.join(_HOLDS)}, bandlimited, or None")
-    if unknown := sorted({*learn, *leave_out} - {"delay"}):
-        raise BadInput(f"{unknown[0]!r} cannot be learned by an identification; use delay")
-    if "delay" in learn and "delay" in leave_out:
-        raise BadInput("a delay cannot be both learned and left out; choose one")
+    unknown = sorted({*learn, *leave_out} - {"delay"})
+    refuse_if(
+        (input_map not in INPUT_MAPS, f"unknown input map {input_map!r}; use one of {', '.join(INPUT_MAPS)}"),
+        (order not in ("auto", *ORDERS), f"order {order!r} is not supported; use 1 to 6, or auto"),
+        (
+            hold not in (None, *_HOLDS, "bandlimited"),
+            f"unknown hold {hold!r}; use one of {', '.join(_HOLDS)}, bandlimited, or None",
+        ),
+        (unknown, f"{', '.join(map(repr, unknown))} cannot be learned by an identification; use delay"),
+        (
+            "delay" in learn and "delay" in leave_out,
+            "a delay cannot be both learned and left out; choose one",
+        ),
+    )
 
 
 def _candidates(

@@ -18,7 +18,7 @@ from functools import cached_property
 import numpy as np
 from jaxtyping import Complex, Float, Int
 
-from ...common.errors import BadInput
+from ...common.errors import refuse_if
 from ..fit.minimise import Normal, minimise
 from ..model.model import Hold
 from ..signal.initial_state import Beginning, from_known
@@ -154,10 +154,12 @@ class Solved:
 
 def check_motion(records: Sequence[Record]) -> None:
     """Refuse records whose input never changes or whose output never changes."""
-    if np.ptp(np.concatenate([r.voltage for r in records])) == 0:
-        raise BadInput("the input never changes in these recordings; record an excitation such as a sweep")
-    if np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0:
-        raise BadInput("the output never changes in these recordings; check the sensor and its column")
+    still_input = np.ptp(np.concatenate([r.voltage for r in records])) == 0
+    still_output = np.ptp(np.concatenate([r.displacement[r.observed] for r in records])) == 0
+    refuse_if(
+        (still_input, "the input never changes in these recordings; record an excitation such as a sweep"),
+        (still_output, "the output never changes in these recordings; check the sensor and its column"),
+    )
 
 
 def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequence[Beginning]) -> Problem:

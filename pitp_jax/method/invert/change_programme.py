@@ -20,8 +20,6 @@ from .linearised import linearise
 from .self_check import Played
 from .stage_qp import StageQP, solve_stage_qp
 
-_STAGES = 4000  # about, as long as a stage is shorter than the resonance's period
-_PER_PERIOD = 40  # divided by this number
 _FLOOR = 0.03  # of U: the lowest film voltage of a linearisation
 _FREE = 4.0  # a bound in units of U that is never active
 _MARGIN = 1e-3  # of the limit on the displacement
@@ -70,7 +68,8 @@ def best_change(model: Model, wish: Wish, now: Played, size: float, rho: float) 
     """
     count, period = len(now.voltage), 2 * np.pi / model.natural_frequency
     late = min(sum(round(float(e.time) / wish.dt) for e in model.effects if e.delays), count - 1)
-    length = int(np.clip(-(-count // _STAGES), 1, max(period / wish.dt / _PER_PERIOD, 1)))
+    # about 4,000 stages, as long as one is at most a fortieth of the resonance's period
+    length = int(np.clip(-(-count // 4000), 1, max(period / wish.dt / 40, 1)))
     cut = _Cut(_padded(-(-count // length)), length)
     seen = _readings(model, wish, now, cut, late)
     programme = _programme(wish, now, cut, late, size, rho, *seen)

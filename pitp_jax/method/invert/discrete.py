@@ -16,7 +16,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...common.errors import BadInput
+from ...common.errors import BadInput, refuse_if
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import jit
@@ -48,7 +48,7 @@ def discrete_inverse(
         zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
-        ValueError: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
+        BadInput: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
             the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
 
     Examples:
@@ -59,14 +59,14 @@ def discrete_inverse(
         True
     """
     model = model_of(model)
-    if model.effects:
-        raise ValueError("discrete_inverse does not support effects; use feedforward")
-    if model.hold == "bandlimited":
-        raise ValueError("discrete_inverse needs a model with hold foh or zoh")
-    if model.substeps != 1:
-        raise ValueError(
-            "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps"
-        )
+    refuse_if(
+        (model.effects, "discrete_inverse does not support effects; use feedforward"),
+        (model.hold == "bandlimited", "discrete_inverse needs a model with hold foh or zoh"),
+        (
+            model.substeps != 1,
+            "discrete_inverse needs a model with substeps = 1; give the states on the finer grid of the substeps",
+        ),
+    )
     rows, unit = _rows(model), _unit(model, states.dtype)
 
     def change(state, now, later):
@@ -109,7 +109,7 @@ def _solved(
         known: the first voltage, or None.
     """
     one, square = jnp.ones((), start.dtype), model.input_map.one_sided
-    gain = jax.jvp(lambda v: change(states[0], v, v), (one,), (one,))[1] / (2.0 if square else 1.0)
+    gain = jax.jvp(lambda v: change(states[0], v, v), (one,), (one,))[1] / (1.0 + square)
     weight = (gain / gain[0]) ** 2  # all rows have the same rounding error
 
     def sweep(v, _):

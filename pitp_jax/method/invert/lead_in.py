@@ -21,8 +21,6 @@ from .limits import Limits
 from .motion import Motion
 
 _NEAR, _MET = 0.02, 1e-5  # of the target's size: a first state counts as reached, also within the narrower bounds
-_SPARE = 0.95  # of the slew limit, because the plan differentiates again, and near 0 V a root amplifies errors
-_BEYOND = 1.02  # of the force at the first sample; otherwise damped motion arrives late
 _SUDDEN = 0.05  # of the largest x^(i), i = 2 ... n - 1: more at the first sample is not a start from rest
 
 
@@ -46,7 +44,8 @@ def led_in(motion: Motion, limits: Limits) -> Motion:
         # at rest, because delayed input must be played before
         return _after(motion, np.zeros(early + 2 * order if early else 0))
     low, high = (0.0 if limits.low == 0 else low) - still, high - still
-    own = _BEYOND * float(a @ states[0])
+    # with no more than the force of the first sample, damped motion arrives late
+    own = 1.02 * float(a @ states[0])
     narrow = max(low, min(own, 0.0)), min(high, max(own, 0.0))
     size = max(np.ptp(wanted), abs(wanted).max(), 1e-30) * model.natural_frequency ** np.arange(order)
     # no more force than the first sample needs, if that suffices
@@ -56,7 +55,8 @@ def led_in(motion: Motion, limits: Limits) -> Motion:
         count = max(int(np.ceil(stretch * motion.settling[0] / dt)), 64)
         lead, force, end = swing_in(a, states[0], count, dt, *bounds)
         slew = np.abs(np.diff(np.asarray(voltage_of(still + force)))).max() / dt
-        kept = bool(slew <= _SPARE * limits.slew)
+        # the plan differentiates again, and near 0 V a root amplifies errors
+        kept = bool(slew <= 0.95 * limits.slew)
         reached = bool((np.abs(end - states[0])[:order] / size <= near).all())
         if kept and reached:
             break

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...common.errors import BadInput
+from ...common.errors import BadInput, refuse_if
 from ...common.quantity import Units
 from ..model.model import Model
 
@@ -76,11 +76,10 @@ def limits_of(
         low, high = 0.0, max(high, -low)
     trained_high, trained_slew = high, model.domain.slew
     given = ((units.max_input, max_voltage), (units.max_rate, max_slew), (units.max_output, max_displacement))
-    for name, value in given:
-        if value is not None and not value > 0:
-            raise BadInput(f"{name} must be positive, not {value}")
-    if max_voltage == np.inf:
-        raise BadInput(f"{units.max_input} must be finite; give the amplifier's limit")
+    refuse_if(
+        *((value is not None and not value > 0, f"{name} must be positive, not {value}") for name, value in given),
+        (max_voltage == np.inf, f"{units.max_input} must be finite; give the amplifier's limit"),
+    )
     if max_voltage is not None:
         bipolar = -low > _BIPOLAR * high  # beyond the noise of a reading of zero volts
         high, low = max_voltage, -max_voltage if bipolar else max(low, -max_voltage)

@@ -112,11 +112,12 @@ def margins(plants: Sequence[Plant], p: float, i: float, dt: float, smoothing: f
         L = (p + i * dt * z / (z - 1)) * plant.response / z
         L *= smoothing * z / (z - 1 + smoothing)
         stable = _is_stable((1 + L) * (z - 1) / z, int((np.abs(plant.poles) > 1 + _ROUNDING).sum()))
-        crossings = _crossings(L)
-        # A stable loop may cross beyond -1 and return; there a lower gain is dangerous, so it is not a gain margin.
-        inside = crossings[crossings > -1] if stable else crossings
-        margin = min(margin, *(-1 / inside), np.inf)
-        sensitivity = max(sensitivity, float(np.abs(1 / (1 + L)).max()) if stable else np.inf)
+        crossings, largest = _crossings(L), np.inf
+        if stable:
+            # It may cross beyond -1 and return; there a lower gain is dangerous, so it is not a gain margin.
+            crossings, largest = crossings[crossings > -1], float(np.abs(1 / (1 + L)).max())
+        margin = min(margin, *(-1 / crossings), np.inf)
+        sensitivity = max(sensitivity, largest)
     return float(margin), float(sensitivity)
 
 

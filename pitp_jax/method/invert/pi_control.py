@@ -24,7 +24,6 @@ from .loop import linearised, margins
 
 KV_PER_MM = 1e6  # V/m
 _LEVELS = (0.05, 0.25, 0.5, 0.75, 1.0)  # quantiles of the feedforward
-_SLOWER = 1e3  # the lowest frequency is 1e-5 of this one, so a hundredth of a period over the whole run
 
 
 def pi_trim(
@@ -133,7 +132,8 @@ def _refuse_unstable(step: Callable, state: PyTree, voltage, u_next, dt: float, 
     if not points:
         return
     run = 2 * jnp.pi / (len(voltage) * dt)
-    plants = linearised(lambda s, u: step(s, u, u), points, dt, float(_SLOWER * run))
+    # the lowest frequency is 1e-5 of this one, so a hundredth of a period over the whole run
+    plants = linearised(lambda s, u: step(s, u, u), points, dt, float(1e3 * run))
     margin, sensitivity = margins(plants, p, i, dt)
     if not jnp.isfinite(sensitivity):
         raise BadInput(

@@ -18,7 +18,7 @@ from jax import export
 from jax.flatten_util import ravel_pytree
 from jaxtyping import Array, Float
 
-from ...common.errors import BadInput
+from ...common.errors import BadInput, refuse_if
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import full_precision
@@ -121,10 +121,10 @@ def _compile(exported: export.Exported):
 
 def _refused(model: Model, dt: float) -> Model:
     """Return the model; refuse one with effects, and a sampling interval that is not positive."""
-    if model.effects:
-        raise BadInput("real-time steps only work for models without effects")
-    if not dt > 0:
-        raise BadInput(f"dt must be positive, not {dt} s")
+    refuse_if(
+        (model.effects, "real-time steps only work for models without effects"),
+        (not dt > 0, f"dt must be positive, not {dt} s"),
+    )
     return model
 
 

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Bool, Float
 
-from ...common.errors import BadInput, refuse_traced
+from ...common.errors import BadInput, refuse_if, refuse_traced
 from ..model.coordinate import to_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
@@ -65,12 +65,15 @@ def invert_stream(
     """
     refuse_traced("invert_stream", "inverse", model, None if isinstance(blocks, Iterator) else blocks)
     model = model_of(model)
-    if isinstance(blocks, np.ndarray) and blocks.ndim < 2:
-        raise BadInput("blocks is one array: give a list of arrays, [displacement] where there is only one")
-    if model.effects:
-        raise BadInput("streaming does not support effects; use `feedforward`")
-    if not dt > 0 or window < _SMALLEST:
-        raise BadInput(f"dt {dt} s, window {window}: dt must be positive, and window at least {_SMALLEST}")
+    one = isinstance(blocks, np.ndarray) and blocks.ndim < 2
+    refuse_if(
+        (one, "blocks is one array: give a list of arrays, [displacement] where there is only one"),
+        (model.effects, "streaming does not support effects; use `feedforward`"),
+        (
+            not dt > 0 or window < _SMALLEST,
+            f"dt {dt} s, window {window}: dt must be positive, and window at least {_SMALLEST}",
+        ),
+    )
     return _pieces(model, blocks, dt, window)
 
 

@@ -74,7 +74,9 @@ def best_voltage(motion: Motion, limits: Limits, cut: Planned, shots: int) -> Pl
         best = now
     if bites and travel(best.voltage) > most:  # shots taken before a limit was active
         best = cut
-    return _nearest(motion, limits, cut, best, most) if bites or beyond(best, limits) else best
+    if bites or beyond(best, limits):
+        return _nearest(motion, limits, cut, best, most)
+    return best
 
 
 def _nearest(motion: Motion, limits: Limits, cut: Planned, best: Planned, most: float) -> Played:

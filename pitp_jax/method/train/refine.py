@@ -131,7 +131,8 @@ def refine(
     scores = [held_out.score(first)]
     for stepped, entry in _descend(first, free, count, "partial runs", how):
         scores.append(held_out.score(stepped))
-        best = stepped if scores[-1] == min(scores) else best
+        if scores[-1] == min(scores):
+            best = stepped
         yield best, {**entry, "held_out": min(scores)}
         if _is_flat(scores):
             break
@@ -253,8 +254,10 @@ def _begun(model: Model, features: np.ndarray, voltage: float):
 def run_samples(records: Sequence[Record]) -> int:
     """Return the length of the longest simulation, samples: the longest record, or less within the budget."""
     longest = max(r.samples for r in records)
+    if sum(r.samples for r in records) <= BUDGET:
+        return longest
     each = BUDGET // len(records) if len(records) <= _FEWEST_WHOLE else BUDGET // 2 // _FEWEST_WHOLE
-    return longest if sum(r.samples for r in records) <= BUDGET else min(longest, max(each, _SHORTEST))
+    return min(longest, max(each, _SHORTEST))
 
 
 def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray, " records"]:

@@ -13,7 +13,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from ...common.errors import BadInput
+from ...common.errors import refuse_if
 from ..effects import lookup
 from ..effects.physical import in_scales
 from ..model.drive import ElectrodeLag
@@ -102,11 +102,10 @@ class Settings:
     def __post_init__(self):
         """Refuse unknown words in the settings, which would silently act as the default."""
         for name, known in _WORDS.items():
-            if getattr(self, name) not in known:
-                raise BadInput(f"settings: {name} {getattr(self, name)!r} is unknown; use one of {', '.join(known)}")
+            word = getattr(self, name)
+            refuse_if((word not in known, f"settings: {name} {word!r} is unknown; use one of {', '.join(known)}"))
         for part in self.parts:
-            if part not in PARTS:
-                raise BadInput(f"settings: part {part!r} is unknown; use {' or '.join(PARTS)}")
+            refuse_if((part not in PARTS, f"settings: part {part!r} is unknown; use {' or '.join(PARTS)}"))
 
 
 PRESETS = {
@@ -120,8 +119,7 @@ PRESETS = {
 
 def preset_of(name: str) -> Settings:
     """Return the preset of this name; refuse an unknown name."""
-    if name not in PRESETS:
-        raise BadInput(f"unknown preset {name!r}; use one of {', '.join(PRESETS)}")
+    refuse_if((name not in PRESETS, f"unknown preset {name!r}; use one of {', '.join(PRESETS)}"))
     return PRESETS[name]
 
 
@@ -135,7 +133,8 @@ def memory_of(
     """
     longest = max(len(s.time) * s.dt for s in states)
     # a lag as long as the record would be a ramp in it, and no sample would show its final value
-    longest = longest if long is None else max(longest, long.seconds / 4)
+    if long is not None:
+        longest = max(longest, long.seconds / 4)
     if settings.memory == "none":
         return NoMemory()
     if settings.memory == "elapsed":

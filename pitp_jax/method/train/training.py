@@ -122,7 +122,7 @@ def train(
     Examples:
         >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
-    settings = _settings_for(encoder, preset_of(preset) if settings is None else settings)
+    settings = _settings_for(encoder, settings or preset_of(preset))
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
@@ -155,7 +155,7 @@ def train(
         chosen = replace(chosen, model=chosen.model.sampled(seen[0].dt, parent.hold))
     notes = {"settings": asdict(settings), "seconds": round(time.monotonic() - began, 1), "history": history,
              "records": [r.name for r in records], "left_out": motionless, "samples": int(data.equation.force.shape[0]),
-             "creep_held_to_s": round(slow.seconds, 1) if slow else None, "second_mass_hz": _second_mass_hz(best),
+             "creep_held_to_s": slow and round(slow.seconds, 1), "second_mass_hz": _second_mass_hz(best),
              "errors": {e.name: [e.nominal, e.trained] for e in chosen.errors}, "problems": problems,
              "interrupted": interrupted, "fallback": fallback, "trained_at_hz": 1 / records[0].dt}  # fmt: skip
     region = _region(chosen.model, data, slow, records[0].dt)
@@ -246,7 +246,7 @@ def _attempts(
         found = compare(model, gain)
         # a start that gains less in the log score is the last one
         ends = best is not None and best.gain > 0 and found.gain < best.gain + 0.05
-        best = found if best is None else max(best, found, key=lambda c: c.gain)
+        best = max(filter(None, (best, found)), key=lambda c: c.gain)
         if best.converged or ends:
             break
     if best is not None and start > 1:
