@@ -21,8 +21,6 @@ from .page import tag
 
 BINS = 1200  # of a line, each with its two extremes
 _SMALL = 8.0  # points: ticks and legends; labels are one point larger
-_INCHES, _POINT, _SAMPLES = 3.55, 8.5, 1200  # on a page: width, smallest text, samples per line
-_LETTERS = 34  # of a label in a legend: more are wider than a narrow figure
 
 
 @dataclass(frozen=True)
@@ -62,20 +60,21 @@ class Picture:
 def shrink(drawn: Figure) -> None:
     """Shrink a figure to the width of a page's column, with readable text, whole legends and fewer samples a line."""
     wide, high = drawn.get_size_inches()
-    drawn.set_size_inches(_INCHES, max(high * (_INCHES / wide) ** 0.7, 1.4))  # lower, labels would fill the plot
+    width, size, samples = 3.55, 8.5, 1200  # inches, points of the smallest text, samples of a line
+    drawn.set_size_inches(width, max(high * (width / wide) ** 0.7, 1.4))  # lower, labels would fill the plot
     for ax in drawn.axes:
         ax.set_ylabel(ax.get_ylabel().replace(" (", "\n("))  # a label is longer than a low panel is high
     for axis in (a for ax in drawn.axes for a in (ax.xaxis, ax.yaxis) if a.get_scale() == "log"):
         axis.set_major_formatter(lambda value, _: f"{value:g}")  # a small exponent is unreadable
         axis.set_minor_formatter(lambda value, _: "")
     for text in drawn.findobj(Text):
-        cast(Text, text).set_fontsize(max(float(cast(Text, text).get_fontsize()), _POINT))
+        cast(Text, text).set_fontsize(max(float(cast(Text, text).get_fontsize()), size))
     for shown in drawn.findobj(Line2D):
         across, upward = (np.asarray(values) for values in cast(Line2D, shown).get_data())
-        if len(across) > _SAMPLES:
-            kept = thin(upward.astype(float), _SAMPLES // 4)
+        if len(across) > samples:
+            kept = thin(upward.astype(float), samples // 4)
             cast(Line2D, shown).set_data(across[kept], upward[kept])
-    fit_legends(drawn, _POINT)
+    fit_legends(drawn, size)
 
 
 def fit_legends(drawn: Figure, size: float = _SMALL) -> None:
@@ -84,7 +83,8 @@ def fit_legends(drawn: Figure, size: float = _SMALL) -> None:
         handles, labels = ax.get_legend_handles_labels()
         if ax.get_legend() is None:
             continue
-        labels = [text if len(text) <= _LETTERS else f"{text[: _LETTERS - 1]}…" for text in labels]
+        # more than 34 letters are wider than a narrow figure
+        labels = [text if len(text) <= 34 else f"{text[:33]}…" for text in labels]
         for columns in range(min(len(labels), 4), 0, -1):
             legend = ax.legend(
                 handles, labels, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False,

@@ -10,8 +10,6 @@ import numpy as np
 if TYPE_CHECKING:
     import pandas as pd
 
-_WIDTH = 100  # characters of a value
-
 
 def data_frame(rows: Sequence[dict] | dict) -> "pd.DataFrame":
     """Build a DataFrame from arrays by name, or from dicts; nested dicts make columns such as `zero_value`."""
@@ -56,6 +54,7 @@ def _is_array(value) -> bool:
 
 def _brief(value) -> str:
     """Describe the value of a field in one short line."""
+    width = 100  # characters
     if _is_array(value) and np.ndim(value):
         numbers = np.asarray(value, float)
         seen = numbers[np.isfinite(numbers)]
@@ -63,7 +62,7 @@ def _brief(value) -> str:
         return f"{'x'.join(map(str, numbers.shape))} values{span}"
     if isinstance(value, (float, np.floating)):
         return f"{value:.4g}"
-    if isinstance(value, (tuple, list, dict)) and len(str(value)) > _WIDTH:
+    if isinstance(value, (tuple, list, dict)) and len(str(value)) > width:
         return f"{len(value)} entries"
     text = " ".join(str(value).split())
-    return text if len(text) <= _WIDTH else f"{text[: _WIDTH - 1]}…"
+    return text if len(text) <= width else f"{text[: width - 1]}…"

@@ -24,8 +24,10 @@ _KINDS: dict[str, dict[str, float]] = {  # the first unit of a kind is its base
     "number": {"counts": 1.0, "percent": 1e-2},
 }
 # Symbols of units that are not listed above; a unit of them is kept as it is written, and is its own base.
-_PREFIXED = "VA|Hz|Wb|Ohm|Pa|bar|rad|eV|mol|lm|lx|cd|[WJTFHSΩgtlLNmsAVK]"
-_ATOM = rf"(?:[fpnumcdhkMGT]?(?:{_PREFIXED})|min|h|d|deg|rev|dB|var|ppm|sccm|slpm|kgf|lbf|Oe|%|1)(?:\^?-?\d)?"
+_ATOM = (
+    r"(?:[fpnumcdhkMGT]?(?:VA|Hz|Wb|Ohm|Pa|bar|rad|eV|mol|lm|lx|cd|[WJTFHSΩgtlLNmsAVK])"
+    r"|min|h|d|deg|rev|dB|var|ppm|sccm|slpm|kgf|lbf|Oe|%|1)(?:\^?-?\d)?"
+)
 _WRITTEN = re.compile(rf"{_ATOM}(?:[/*·.]{_ATOM}){{0,3}}")
 _LISTED = re.compile(r"[a-zA-Z]?(?:[VANKms]|Pa|bar|rad|deg|rev|min|h|d|1)\d?")  # alone: MV may be meant as mV
 

@@ -82,7 +82,8 @@ class SimToReal:
         for p in self.parameters:
             if differs(p) and (p.certain or "parameters" in self.robot.handed_back):
                 error = "" if p.stderr is None else f" +- {number(p.stderr, 2)}"
-                error += "" if p.determined else " (these recordings do not determine it)"
+                if not p.determined:
+                    error += " (these recordings do not determine it)"
                 names = ", ".join(n for n in (p.mujoco, p.physx) if n != "-")
                 line = f"{p.words}: simulator {number(p.simulator)}, robot {number(p.robot)}{error} {p.unit}"
                 changes.append(f"{line} ({names})" if names else line)
@@ -131,8 +132,11 @@ class SimToReal:
         if self.verdict == "no_gap":
             return "The simulator agrees with the robot"
         lacking = [e.replace("_", " ") for e in self.effects if e != "parameter_change"]
-        facts = [f"lacks {named(lacking)}"] if lacking else []
-        facts += ["has different parameters"] if len(lacking) < len(self.effects) else []
+        facts = []
+        if lacking:
+            facts.append(f"lacks {named(lacking)}")
+        if len(lacking) < len(self.effects):
+            facts.append("has different parameters")
         if facts:
             return f"The simulator {', and '.join(facts)}"
         if self.robot.handed_back:
@@ -170,15 +174,7 @@ class SimToReal:
 
     def as_json(self, csv: str | None = None) -> dict[str, Any]:
         """Return the diagnosis as a dict for JSON, with the simulator's part and the parameters."""
-        pairs = [
-            {
-                "robot": p.first.name,
-                "simulated": p.second.name,
-                "clock_offset_s": p.offset,
-                "correlation": p.correlation,
-            }
-            for p in self.pairs.pairs
-        ]
+        pairs = [p.as_json("robot", "simulated") for p in self.pairs.pairs]
         unmatched = {"robot": dict(self.pairs.first_alone), "simulated": dict(self.pairs.second_alone)}
         more = {"budget": self.budget, "simulator": None if self.simulator is None else self.simulator.as_json(),
                 "parameters": as_rows(self.parameters), "pairs": pairs, "unmatched": unmatched}  # fmt: skip

@@ -44,7 +44,7 @@ class Coverage:
         lines, f0 = [], self.resonance
         for low, high in self.gaps:
             by = " (frequencies of the force; an input without bias runs at half of them)" if self.doubled else ""
-            one, other, half = (low + (high - low) / 3, high - (high - low) / 3, self.largest / 2)
+            one, other, half = low + (high - low) / 3, high - (high - low) / 3, self.largest / 2
             lines.append(
                 f"nothing between {short(low)} and {short(high)} Hz, near the resonance at {short(f0)} Hz, exceeds "
                 f"half the swing ({self._swing(half)}); record a slow sweep, or sines at {short(one)} and "

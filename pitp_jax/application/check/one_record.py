@@ -21,8 +21,6 @@ from ...method.signal.excitation_kind import kind, loudest
 from ...method.signal.initial_state import in_motion, noise_std
 from ...method.signal.record import Record
 
-_FEW_PER_PERIOD = 8  # samples per period of the fastest input, below which the motion between samples matters
-
 
 @dataclass(frozen=True)
 class CheckedRecord:
@@ -114,9 +112,10 @@ def drive_problems(record: Record, noise: float, band: tuple[float, float] | Non
         problems.append(
             f"shows no motion beyond its noise of {spread:.2g} {record.displacement_unit}; check sensor and amplifier"
         )
+    fewest = 8  # samples per period of the fastest input: with fewer, the motion between samples matters
     # steps have no highest frequency: their band ends where their edges are sampled
-    if band and (per := 1 / (band[1] * record.dt)) < _FEW_PER_PERIOD and kind(record) != "steps":
-        least = _FEW_PER_PERIOD * band[1]
+    if band and (per := 1 / (band[1] * record.dt)) < fewest and kind(record) != "steps":
+        least = fewest * band[1]
         problems.append(
             f"has only {per:.1f} samples in a period of its fastest input; sample at {least:.3g} Hz or more"
         )

@@ -40,15 +40,16 @@ def _same(a: Record, b: Record) -> bool:
 
 
 def _repeat(records: Sequence[Record], directions: Mapping[str, float]) -> Repeat:
+    names = tuple(r.name for r in records)
     y = np.stack([directions.get(r.name, 1.0) * r.displacement for r in records])
     seen = np.isfinite(y).all(0)
     if seen.sum() < 2:
-        return Repeat(tuple(r.name for r in records), float("nan"), float("nan"))
+        return Repeat(names, float("nan"), float("nan"))
     y = y[:, seen] - y[:, seen].mean(1, keepdims=True)
     # sample by sample over the repeats, so that the common response cancels
     sigma = float(np.sqrt(np.mean(y.var(0, ddof=1))))
     span = float(np.median(np.ptp(y, axis=1)))
-    return Repeat(tuple(r.name for r in records), sigma, 100 * sigma / span if span > 0 else float("nan"))
+    return Repeat(names, sigma, 100 * sigma / span if span > 0 else float("nan"))
 
 
 def cycles(records: Sequence[Record]) -> dict[str, float]:

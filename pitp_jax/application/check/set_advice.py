@@ -10,8 +10,6 @@ from .coverage import Coverage
 from .repeats import Repeat
 from .set_fit import SetFit
 
-_PER_PERIOD = 20.0  # samples per period of the resonance, for RK4 and a usable second derivative
-
 
 def set_advice(
     rows: Mapping, used: Sequence[Record], cover: Coverage | None, repeats: Sequence[Repeat],
@@ -44,11 +42,11 @@ def set_advice(
     lines += _zeros(rows, used, fitted)
     if cover is not None:
         lines += cover.advice()
-        per = 1 / (cover.resonance * used[0].dt)
-        if per < _PER_PERIOD:
+        per, fewest = 1 / (cover.resonance * used[0].dt), 20  # for RK4 and a usable second derivative
+        if per < fewest:
             lines.append(
                 f"{per:.1f} samples in a period of the resonance at {cover.resonance:.3g} Hz are few; sample at "
-                f"{_PER_PERIOD * cover.resonance:.0f} Hz or more"
+                f"{fewest * cover.resonance:.0f} Hz or more"
             )
     # None: the initial state is not known
     begins = {rows[r.name].begins for r in used} - {None}

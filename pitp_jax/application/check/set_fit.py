@@ -26,7 +26,6 @@ from ...method.signal.preprocess import force_band
 from ...method.signal.record import Record
 from ...method.signal.reduced import averaged, block_size
 
-_SPREADS = 5.0  # robust deviations from which a record may not belong
 _UNEXPLAINED = 0.3  # fraction from which a record may not belong
 
 
@@ -177,8 +176,9 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     # 1e-6: a record without noise
     unexplained, whole = max(float(error.std() / max(y.std(), 1e-300)), 1e-6), np.zeros(record.samples)
     whole[seen] = error
-    direction = 1.0 if factors[1] >= 0 else -1.0
+    direction = float(np.copysign(1.0, factors[1]))
     # a record that the poles hardly explain does not show the sign of its gain
+    # from 4 standard errors of its gain on, the sign is known
     tells = bool(abs(factors[1]) > 4 * known and unexplained < 0.9)
     return Beside(replace(begun, direction=direction), float(factors[1]), unexplained, tells, whole, seen, step)
 
@@ -190,12 +190,13 @@ def _relative(rows: Sequence[Beside]) -> list[Beside]:
         return list(rows)
     logs = np.log(gains / np.nanmedian(gains))
     usual = _usual(rows)
+    spreads = 5.0  # standard deviations from which a record may not belong, and a factor of at least 2
     # 1.4826 median deviations are a standard deviation, and a few outliers do not change them
-    far = np.abs(logs) > max(_SPREADS * 1.4826 * np.nanmedian(np.abs(logs)), np.log(2.0))
+    far = np.abs(logs) > max(spreads * 1.4826 * np.nanmedian(np.abs(logs)), np.log(2.0))
     spread = 1.4826 * np.median([abs(np.log(row.unexplained / usual)) for row in rows])
     judged = []
     for row, log, off in zip(rows, logs, far, strict=True):
-        worse = np.log(row.unexplained / usual) > max(_SPREADS * spread, np.log(3.0))
+        worse = np.log(row.unexplained / usual) > max(spreads * spread, np.log(3.0))
         poor = bool(row.unexplained > _UNEXPLAINED and worse)
         judged.append(replace(row, strange=_strange(row, float(np.exp(log)), bool(off), poor, usual)))
     return judged

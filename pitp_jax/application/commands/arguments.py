@@ -89,7 +89,7 @@ _LIST, _REPEATED, _REQUIRED = {"nargs": "+", "action": "extend"}, {"action": "ap
 
 def _columns(*without: str) -> Group:
     """Return the options of reading, as in `pitp.read`; not those whose first word is in `without`."""
-    kinds = {
+    kinds = {  # of a field of `ReadOptions`
         "factor": {"type": _refusing("a number other than 0", lambda text: _finite(text, bool))},
         "number": {"type": _refusing("a finite number", _finite)},
         "positive": _POSITIVE,

@@ -1,6 +1,7 @@
 """`pitp check`: reports what was read, how each record starts, and whether the records suffice."""
 
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from ...files.recordings.writing import write_signals, write_text_atomic
 from ..check.check import Check, checked
 from ..pages.check import page, table
 from .console import print_table, say
-from .outputs import check_outputs, staged
+from .outputs import check_outputs, csv_names, staged
 from .recordings import recognised
 
 PAGE, SOURCE = "check.html", "source.toml"
@@ -36,8 +37,8 @@ def check(records, out, json_file, reading) -> None:
     for line in refused.values():
         say(f"warning: not read: {line}")
     result = checked(read_in, refused)
-    files = {r.name: f"{r.name.lstrip('/')}.csv" for r in result.understood}
-    check_outputs(json_file, folder=out, names=[*files.values(), PAGE, SOURCE], inputs=records)
+    files = csv_names(result.understood)
+    check_outputs(json_file, folder=out, names=[*files, PAGE, SOURCE], inputs=records)
     with staged(folder=out, json_file=json_file, value=result.as_json()) as stage:
         if out is not None:
             _write(result, files, stage)
@@ -46,11 +47,11 @@ def check(records, out, json_file, reading) -> None:
         print(f"wrote {Path(out) / PAGE} and every recording as it was read")
 
 
-def _write(result: Check, files: dict[str, str], folder: Path) -> None:
-    for record in result.understood:
+def _write(result: Check, files: Sequence[str], folder: Path) -> None:
+    for record, file in zip(result.understood, files, strict=True):
         voltage = record.voltage, base_unit(record.voltage_unit)
         displacement = record.displacement, base_unit(record.displacement_unit)
-        write_signals(folder / files[record.name], record.time, voltage=voltage, displacement=displacement)
+        write_signals(folder / file, record.time, voltage=voltage, displacement=displacement)
     write_text_atomic(folder / PAGE, page(result).html())
     said = {os.path.basename(r.source): r.recognised["options"] for r in result.understood if "options" in r.recognised}
     write_text_atomic(folder / SOURCE, folder_file(said))

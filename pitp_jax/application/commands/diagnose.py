@@ -36,7 +36,6 @@ from .verify import one_joint
 JSON, ROBOT = "diagnosis.json", "robot.html"
 FILES = (MODEL, REPORT, ROBOT, JSON, NEXT_CSV, *(f"figures/{n}.{kind}" for n in FIGURES for kind in ("png", "csv")))
 T = TypeVar("T")
-_ROWS = 8  # of the ranking on standard output
 
 
 def diagnose(
@@ -70,7 +69,7 @@ def diagnose(
             position_gain = given.torque_per_command
     _check_places(out, json_file, mjcf, [nominal, *records, *(against or ())])
     status = ProgressLine()
-    options = {"seconds": np.inf if seconds is None else seconds, "progress": status.update}
+    options = {"seconds": seconds or np.inf, "progress": status.update}
     if against is None:
         model, read_in = open_both(nominal, records, reading)
         warn(read_in)
@@ -232,9 +231,9 @@ def _print(diagnosis: Diagnosis | SimToReal) -> None:
 
 def _print_ranking(diagnosis: Diagnosis) -> None:
     """Print the best candidate effects, without their parameters."""
-    table = ranking(diagnosis)
-    header, *rows = ([*row[:2], *row[3:]] for row in (table.header, *table.rows[:_ROWS]))
-    print_table(replace(table, header=header, rows=rows, bold=table.bold[:_ROWS]), 3)
-    more = len(table.rows) - _ROWS
+    table, count = ranking(diagnosis), 8  # rows; --json and the report have all
+    header, *rows = ([*row[:2], *row[3:]] for row in (table.header, *table.rows[:count]))
+    print_table(replace(table, header=header, rows=rows, bold=table.bold[:count]), 3)
+    more = len(table.rows) - count
     if more > 0:
         print(f"and {more} more, which --json and the report list")

@@ -48,6 +48,7 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
 
 def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
     """Return reading options by robot joint; empty if neither the caller nor `pitp.toml` names joints."""
+    # the folders of these arguments do not determine joints
     no_records = "out", "report", "json_file", "model", "nominal"
     read_from = [v for key, v in arguments.items() if key not in no_records]
     paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]

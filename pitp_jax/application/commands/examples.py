@@ -1,13 +1,5 @@
 """Write the end of every command's help: two examples with files of `pitp demo --quick`, and a page to read."""
 
-_PAGES = {
-    "docs/start.md": ("demo", "identify", "fit", "predict", "invert", "simulate", "info"),
-    "docs/which_recordings.md": ("plan",),
-    "docs/my_rig_disagrees.md": ("diagnose",),
-    "docs/another_day.md": ("check", "adapt", "compare"),
-    "docs/to_the_rig.md": ("export",),
-    "docs/i_have_a_simulator.md": ("verify",),
-}
 EXAMPLES = {
     "demo": ("pitp demo --quick", "pitp demo --plant roll --out roll"),
     "check": ("pitp check demo/records", "pitp check demo/held_out --out checked"),
@@ -61,5 +53,11 @@ EXAMPLES = {
 
 def ending(command: str) -> str:
     """Return the text below a command's options: examples and a page to read."""
-    (page,) = [page for page, commands in _PAGES.items() if command in commands]
-    return "\n".join(["examples:", *(f"  {line}" for line in EXAMPLES[command]), "", f"more: {page}"])
+    page = {
+        "plan": "which_recordings",
+        "diagnose": "my_rig_disagrees",
+        **dict.fromkeys(("check", "adapt", "compare"), "another_day"),
+        "export": "to_the_rig",
+        "verify": "i_have_a_simulator",
+    }.get(command, "start")
+    return "\n".join(["examples:", *(f"  {line}" for line in EXAMPLES[command]), "", f"more: docs/{page}.md"])

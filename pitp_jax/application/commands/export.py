@@ -43,6 +43,7 @@ def export(model, to, out, steps, precision, time_constant, fmi, name, json_file
     )
     check_outputs(json_file, inputs=[model])
     loaded, precise = load(model), {"precision": precision or "double"}
+    # the function that exports, its own options, what it writes, and the command that checks it
     write, options, what, checked = {
         "c": (export_c, precise | {"time_constant": time_constant}, "C99", "`make`"),
         "fmu": (export_fmu, precise | {"fmi": fmi or 2}, f"FMU {fmi or 2}.0", "`python check.py`"),

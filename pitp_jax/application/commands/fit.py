@@ -120,7 +120,7 @@ def _given(path: str, order, input_map) -> Fitted:
     """Load the nominal model from a file; refuse options that contradict it."""
     model = load(path)
     for what, asked, own in (("order", order, model.order), ("input map", input_map, model.input_map.name)):
-        if asked not in (None, "auto", own):
+        if asked not in (None, "auto", own):  # None and "auto" leave it to the file
             option = f"--{what.replace(' ', '-')} {asked}"
             raise BadInput(f"{option} contradicts {path}, whose {what} is {own}; leave one of them out")
     return model

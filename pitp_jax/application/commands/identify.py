@@ -38,7 +38,7 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, *validate])
     read_in = read_records(records, reading, square=input_map)
     warn(read_in)
-    apart = read_records(validate, reading, square=input_map) if validate else []
+    apart = read_records(validate, reading, square=input_map)
     identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     summary = describe(identified.model)
     scores = scored(apart, predict(identified.model, apart)) if apart else {}

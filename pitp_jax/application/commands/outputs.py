@@ -64,6 +64,11 @@ def check_outputs(
         _check_folder(folder, list(names), set(taken))
 
 
+def csv_names(series: Iterable[Any]) -> list[str]:
+    """Return a file name for each recording or input."""
+    return [f"{one.name.lstrip('/')}.csv" for one in series]
+
+
 def _files_of(path: str | os.PathLike) -> list[Path]:
     given = Path(path)
     return [given, *given.iterdir()] if given.is_dir() and os.access(given, os.R_OK | os.X_OK) else [given]
@@ -72,6 +77,7 @@ def _files_of(path: str | os.PathLike) -> list[Path]:
 def _check_folder(folder: str, names: list[str], taken: set[Path]) -> None:
     target = Path(os.path.realpath(folder))
     existing = next(p for p in (target, *target.parents) if p.exists())
+    # the folder, or the nearest existing one in which it is created
     closed = not os.access(existing, os.W_OK | os.X_OK)
     refuse_if(
         (not existing.is_dir(), f"{folder}: {existing} is a file, not a folder; choose another folder"),

@@ -42,7 +42,7 @@ def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, jso
     check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=paths)
     model = None if given is None else load(given)
     square = model is None or is_square(model)
-    read_in = read_records(records, reading, square=square) if records else ()
+    read_in = read_records(records, reading, square=square)
     if read_in and model is not None:
         check_belongs(model, str(given), read_in)
     units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)

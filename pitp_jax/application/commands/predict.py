@@ -19,7 +19,7 @@ from ...method.simulate.prediction import Prediction
 from ...method.simulate.prediction import predict as run_predict
 from ..pages.tables import scores as scores_table
 from .console import number, print_table
-from .outputs import REPORT, check_outputs, staged
+from .outputs import REPORT, check_outputs, csv_names, staged
 from .recordings import is_square, open_both
 from .reports import listed, print_sensors
 
@@ -39,7 +39,7 @@ def predict(model, records, out, json_file, reading) -> None:
         ComputationFailed: every record diverged; the results are written.
     """
     loaded, read_in = open_both(model, records, reading)
-    files = [f"{record.name.lstrip('/')}.csv" for record in read_in]
+    files = csv_names(read_in)
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[model, *records])
     predictions = run_predict(loaded, read_in)
     scores = scored(read_in, predictions)
@@ -56,6 +56,7 @@ def predict(model, records, out, json_file, reading) -> None:
                 )  # fmt: skip
             write_text_atomic(stage / REPORT, fit_page(loaded, read_in, predictions, scores, model).html())
     _print_scores(result, predictions, [expected_error(loaded, p.displacement, read_in[0].dt) for p in predictions])
+    # a probability from 0.9 on is taken for certain
     if open_ones := [p.name for p in predictions if p.start_certainty < 0.9]:
         print(
             f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "

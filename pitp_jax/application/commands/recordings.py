@@ -20,13 +20,15 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | No
     """Read recordings, and print what was recognised, what was masked, and what looks wrong.
 
     Args:
-        paths: files and folders.
+        paths: files and folders; without any, no records are returned.
         reading: keyword arguments of `pitp.read`.
         square: whether the force is known to be the square of the voltage; or the name of an input map; None: by units.
 
     Raises:
         BadInput: as `pitp.read`.
     """
+    if not paths:
+        return ()
     records = read(*paths, **reading)
     for line in recognised(records):
         say(line)

@@ -16,7 +16,7 @@ from ...method.model.units import units_of
 from ...method.simulate.voltage_only import rollout
 from .amounts import zero_in_base
 from .console import Table, print_table, say
-from .outputs import check_outputs, staged
+from .outputs import check_outputs, csv_names, staged
 from .recordings import warn_of_rate
 
 
@@ -37,7 +37,7 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
     """
     loaded = load(model)
     drives = read_voltage(*voltages, **reading)
-    files = [f"{d.name.lstrip('/')}.csv" for d in drives]
+    files = csv_names(drives)
     check_outputs(json_file, folder=out, names=files, inputs=[model, *voltages])
     _tell(loaded, model, drives)
     unit = units_of(loaded).output.unit

@@ -7,7 +7,7 @@ from ...files.recordings.writing import write_csv
 from ..pages.drawing import write_page
 from ..pages.mjcf import page, table
 from .console import print_table
-from .outputs import REPORT, check_outputs, staged
+from .outputs import REPORT, check_outputs, csv_names, staged
 from .recordings import read_records
 
 
@@ -29,8 +29,8 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
         BadInput: with nothing written.
         ComputationFailed: the changed file is not better beyond the noise; the results are written.
     """
-    used, others = (read_records(paths, reading, square=False) if paths else () for paths in (records, held_out))
-    files = [f"{record.name.lstrip('/')}.csv" for record in (*used, *others)]
+    used, others = (read_records(paths, reading, square=False) for paths in (records, held_out))
+    files = csv_names((*used, *others))
     same = len(set(files)) < len(files)
     refuse_if((same, "a held-out recording has the same name as another recording; rename one of them"))
     check_outputs(json_file, folder=out, names=[*files, REPORT], inputs=[mjcf, before, *records, *held_out])

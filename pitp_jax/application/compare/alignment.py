@@ -55,7 +55,8 @@ def align(a: Record, b: Record) -> tuple[Alignment, Alignment]:
     """
     dt = max(a.dt, b.dt)
     longest = max(a.time[-1] - a.time[0], b.time[-1] - b.time[0])
-    dt *= max(1, int(np.ceil(longest / dt / 8192)))  # the peak is refined between samples anyway
+    # the first search takes at most 8192 samples, because the peak is refined between samples anyway
+    dt *= max(1, int(np.ceil(longest / dt / 8192)))
     x, y = (_on_grid(r, dt) for r in (a, b))
     if np.ptp(x) == 0 or np.ptp(y) == 0:
         return _NOTHING, _NOTHING

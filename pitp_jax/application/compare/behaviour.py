@@ -31,8 +31,6 @@ from ...method.simulate.decoder import step
 from ...method.simulate.voltage_only import rollout
 from .result import Difference, measured
 
-_STEP = 0.05  # relative change of a coefficient for its standard error
-
 
 @dataclass(frozen=True)
 class Behaviour:
@@ -62,15 +60,15 @@ def compare_behaviour(a: Fitted, b: Fitted) -> tuple[list[Difference], list[str]
     points = low + np.array([0.25, 0.6, 0.95]) * (high - low)
     drive, dt = _sweep(a, b, low, high)
     units = units_of(a)
+    # a hundredth of the range is half the step of the static stiffness
     one, two = (_behaviour(m, points, 0.01 * (high - low), drive, dt, units) for m in (a, b))
     rows = [_free_run_row(one, two)]
     for k, level in enumerate(points):
         for (what, unit), known in one.quantities.items():
             both = np.stack([known[:, k], two.quantities[what, unit][:, k]], 1).tolist()
-            values, errors = (list(map(finite, pair)) for pair in both)
-            if values != [None, None]:
-                at = f"{what} at {units.input.text(level)}"
-                rows.append(measured(at, values[0], values[1], unit, (errors[0], errors[1])))
+            (a_value, b_value), errors = (list(map(finite, pair)) for pair in both)
+            if (a_value, b_value) != (None, None):
+                rows.append(measured(f"{what} at {units.input.text(level)}", a_value, b_value, unit, errors))
     return rows, []
 
 
@@ -147,10 +145,11 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
     """Return the standard error of the logarithm of a stiffness, resonance or damping: the change that errors hide."""
     if k is not None and k > model.order:
         return np.nan
-    factors = np.where((np.arange(model.order + 1) == k) | (k is None), 1 + _STEP, 1.0)
+    step = 0.05  # relative change of the coefficient
+    factors = np.where((np.arange(model.order + 1) == k) | (k is None), 1 + step, 1.0)
     moved = _run(model.changed(factors), drive, dt)
     change = float(np.sqrt(np.mean((moved - run) ** 2))) or np.nan
-    return own * _STEP / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
+    return own * step / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
 
 
 @jit

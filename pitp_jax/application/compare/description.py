@@ -66,11 +66,8 @@ def fallback_line(training: dict | None) -> str | None:
 def _described(model: Fitted, effect, units: Units) -> dict:
     """Return name, form and parameters of an effect in the given units."""
     numbers = {p.name: physical(model, p, float(v), units) for p, v in effect.numbers()}
-    return {
-        "effect": effect.name,
-        "form": effect.form,
-        "parameters": {name: {"value": value, "unit": unit} for name, (value, unit) in numbers.items()},
-    }
+    parameters = {name: {"value": value, "unit": unit} for name, (value, unit) in numbers.items()}
+    return {"effect": effect.name, "form": effect.form, "parameters": parameters}
 
 
 def in_words(effect: dict) -> str:

@@ -82,8 +82,8 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
         for name in sides[0].get(key) or sides[1][key]:
             x, y = (side.get(key, {}).get(name) for side in sides)
             unit = (x or y or {}).get("unit", "")
-            values = [None if v is None else float(v["value"]) for v in (x, y)]
-            rows.append(measured(f"{key[0]} ({key[1]}): {name}", values[0], values[1], unit, (None, None)))
+            here, there = (v and float(v["value"]) for v in (x, y))
+            rows.append(measured(f"{key[0]} ({key[1]}): {name}", here, there, unit, (None, None)))
     return rows
 
 
@@ -105,4 +105,6 @@ def _origin(a: Fitted, b: Fitted, names: tuple[str, str]) -> list[str]:
         if only:
             lines.append(f"Only {names[k]} saw {', '.join(only)}.")
     both = [name for s, name in sums[0].items() if s in sums[1]]
-    return [*lines, f"Both saw {', '.join(both)}."] if both else lines
+    if both:
+        lines.append(f"Both saw {', '.join(both)}.")
+    return lines

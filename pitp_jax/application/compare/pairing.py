@@ -11,7 +11,7 @@ nearer to a paired recording of its own set than that one lies to its partner. I
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -43,14 +43,22 @@ class Pair:
 
     def command(self) -> np.ndarray:
         """Return the second recording's command at the times of the first, held at its ends, equal in sign, (T,)."""
-        sign = -1 if self.correlation < 0 else 1
-        return sign * np.interp(self.first.time - self.offset, self.second.time, self.second.voltage)
+        return np.sign(self.correlation) * np.interp(
+            self.first.time - self.offset, self.second.time, self.second.voltage
+        )
 
     @property
     def output_offset(self) -> float:
         """Return the mean of the second output less the first, base unit: a constant, which is not a difference."""
         apart = self.output() - self.first.displacement
         return float(np.nanmean(apart)) if np.isfinite(apart).any() else 0.0
+
+    def as_json(self, first: str, second: str) -> dict[str, Any]:
+        """Return both names under these keys, the offset of the clocks (s) and the correlation of the commands."""
+        return {
+            first: self.first.name, second: self.second.name, "clock_offset_s": self.offset,
+            "correlation": self.correlation,
+        }  # fmt: skip
 
     def output(self) -> np.ndarray:
         """Return the second recording's output at the times of the first, equal in sign, nan where missing, (T,)."""
@@ -114,16 +122,14 @@ def pair_records(
     rows, columns = linear_sum_assignment(cost)
     chosen = {(i, j) for i, j in zip(rows.tolist(), columns.tolist(), strict=True) if cost[i, j] < _REFUSED}
     turned = table.turned()
-    more = _repeats(table, chosen, shared == "second")
-    more |= {(i, j) for j, i in _repeats(turned, {(j, i) for i, j in chosen}, shared == "first")}
-    chosen |= more
-    matches = table.matches
-    pairs = tuple(
-        Pair(first[i], second[j], matches[i][j].offset, matches[i][j].correlation, table.output_sign)
-        for i, j in sorted(chosen)
-    )
+    exchanged = {(i, j) for j, i in _repeats(turned, {(j, i) for i, j in chosen}, shared == "first")}
+    chosen |= _repeats(table, chosen, shared == "second") | exchanged
+    pairs = []
+    for i, j in sorted(chosen):
+        m = table.matches[i][j]
+        pairs.append(Pair(first[i], second[j], m.offset, m.correlation, table.output_sign))
     return Pairing(
-        pairs, table.alone({i for i, _ in chosen}), turned.alone({j for _, j in chosen}),
+        tuple(pairs), table.alone({i for i, _ in chosen}), turned.alone({j for _, j in chosen}),
         (turned.repeated({(j, i) for i, j in chosen}), table.repeated(chosen)), table.undecided(chosen),
         (is_mirrored, table.output_sign < 0),
     )  # fmt: skip

@@ -22,8 +22,6 @@ from .pairing import Pair, pair_records
 from .remarks import remarks_on
 from .result import Comparison, Difference, measured
 
-_BLOCKS = 8
-
 
 def compare_records(a: Sequence[Record], b: Sequence[Record], names: tuple[str, str]) -> Comparison:
     """Pair recordings and compare their outputs; if none pairs, compare linear models fitted to both sets."""
@@ -55,8 +53,9 @@ def _outputs(pair: Pair, first: str) -> list[Difference]:
     seen = np.isfinite(y) & np.isfinite(other)
     noise = float(np.hypot(noise_std(y), noise_std(pair.second.displacement)))
     # block by block, because one error of a whole recording would not give the uncertainty of size and lag
-    block = np.arange(len(seen)) * _BLOCKS // len(seen)
-    fits = [f for k in range(_BLOCKS) if (f := _affine(y, other, seen & (block == k), a.dt)) is not None]
+    blocks = 8
+    block = np.arange(len(seen)) * blocks // len(seen)
+    fits = [f for k in range(blocks) if (f := _affine(y, other, seen & (block == k), a.dt)) is not None]
     whole = _affine(y, other, seen, a.dt)
     if whole is None or len(fits) < 3:
         return []

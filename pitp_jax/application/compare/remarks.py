@@ -19,9 +19,9 @@ def remarks_on(pairing: Pairing, first: str, second: str) -> list[str]:
     lines += _of_offsets(pairing, first, second)
     lines += _of_signs(pairing, second)
     offsets = [p.offset for p in pairing.pairs]
+    sizes = sorted(map(abs, offsets))
     # below 0.1 ms it is an interpolation error
-    if offsets and max(map(abs, offsets)) >= 1e-4:
-        sizes = sorted(abs(o) for o in offsets)
+    if sizes and sizes[-1] >= 1e-4:
         middle, apart = float(np.median(sizes)), sizes[-1] - sizes[0]
         by = number(round(middle, 3)) if apart < 5e-3 else f"{number(sizes[0])} to {number(sizes[-1])}"
         word = "ahead of" if np.median(offsets) > 0 else "behind"
@@ -67,15 +67,15 @@ def _of_offsets(pairing: Pairing, first: str, second: str) -> list[str]:
 
 
 def _of_signs(pairing: Pairing, second: str) -> list[str]:
-    command, output = pairing.mirrored
-    keys = [key for key, turned in (("input-scale", command), ("output-scale", output)) if turned]
-    if not keys or not pairing.pairs:
+    signals = ("command", "input-scale"), ("output", "output-scale")
+    mirrored = [names for names, turned in zip(signals, pairing.mirrored, strict=True) if turned]
+    if not mirrored or not pairing.pairs:
         return []
-    what = " and ".join(word for word, turned in (("command", command), ("output", output)) if turned)
+    what, keys = zip(*mirrored, strict=True)
     rho = min(p.correlation for p in pairing.pairs)
-    words = f" (correlation of the commands {rho:.3f})" if command else ""
+    words = f" (correlation of the commands {rho:.3f})" if "command" in what else ""
     return [
-        f"The {what} of the {second} have the opposite sign (a mirrored axis{words}) and were inverted for this "
-        f"comparison. To invert them in every command, put {' and '.join(f'{key} = -1' for key in keys)} below "
-        f'["*"] in the pitp.toml of one set (options: {" ".join(f"--{key} -1" for key in keys)}).'
+        f"The {' and '.join(what)} of the {second} have the opposite sign (a mirrored axis{words}) and were inverted "
+        f"for this comparison. To invert them in every command, put {' and '.join(f'{key} = -1' for key in keys)} "
+        f'below ["*"] in the pitp.toml of one set (options: {" ".join(f"--{key} -1" for key in keys)}).'
     ]

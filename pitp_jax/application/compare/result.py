@@ -79,7 +79,7 @@ class Comparison(Shown):
     def __repr__(self) -> str:
         """Write the headline and the first quantities that differ."""
         lines = [r.words() for r in self.different]
-        if len(lines) > 9:
+        if len(lines) > 9:  # a repr has at most ten lines
             lines = [*lines[:8], f"and {len(lines) - 8} more"]
         return "\n  ".join([f"Comparison of {self.kind}: {self.headline()}", *lines])
 
@@ -111,16 +111,15 @@ class Comparison(Shown):
         """Return the JSON of `pitp compare --json` as a dict."""
         rows = [vars(r) | {"ci95": None if r.ci95 is None else list(r.ci95)} for r in self.rows]
         pairs = [] if self.pairs is None else [
-            {"a": p.first.name, "b": p.second.name, "clock_offset_s": p.offset, "correlation": p.correlation,
-             "output_offset": float(from_base(p.output_offset, p.first.displacement_unit)),
-             "output_unit": p.first.displacement_unit}
+            p.as_json("a", "b") | {"output_offset": float(from_base(p.output_offset, p.first.displacement_unit)),
+                                   "output_unit": p.first.displacement_unit}
             for p in self.pairs.pairs
         ]  # fmt: skip
         return {"kind": self.kind, "names": list(self.names), "differs": bool(self.different), "rows": rows,
                 "remarks": list(self.remarks), "pairs": pairs}  # fmt: skip
 
 
-def measured(what: str, a: float | None, b: float | None, unit: str, errors: tuple[float | None, float | None]):
+def measured(what: str, a: float | None, b: float | None, unit: str, errors: Sequence[float | None]):
     """Compare two numbers with their standard errors (None: unknown)."""
     if a is None or b is None:
         return Difference(what, a, b, unit, None, True)  # a quantity of one side only: a difference without a size

@@ -18,7 +18,6 @@ from ...files.recordings.writing import write_csv, write_text_atomic
 
 SIMULATED, ROBOT, SIMULATOR_FILE = "sim", "robot", "joint.xml"
 POSITION_GAIN = 20.0  # Kp of the simulator and of the robot, N m/rad
-_ENCODER = 2 * np.pi / 2**14  # rad
 
 
 @dataclass(frozen=True)
@@ -112,7 +111,7 @@ def write(folder: Path, *, quick: bool) -> None:
         BadInput: a file cannot be written.
     """
     seconds = 9.0 if quick else 18.0
-    rng = np.random.default_rng(1)
+    rng, digit = np.random.default_rng(1), 2 * np.pi / 2**14  # rad, of the encoder
     write_text_atomic(folder / SIMULATOR_FILE, MJCF)
     for home in (SIMULATED, ROBOT):
         (folder / home).mkdir()
@@ -123,7 +122,7 @@ def write(folder: Path, *, quick: bool) -> None:
         # the robot's log starts 0.7 s before the command
         time = np.arange(round(500 * (seconds + 1.7))) / 500 - 0.7
         angle = simulate(REAL, command, time)
-        angle = _ENCODER * np.round((angle + 0.2 * _ENCODER * rng.standard_normal(len(angle))) / _ENCODER)
+        angle = digit * np.round((angle + 0.2 * digit * rng.standard_normal(len(angle))) / digit)
         columns = {"time_s": time - time[0], "input_deg": np.degrees(command(time)), "output_deg": np.degrees(angle)}
         write_csv(folder / ROBOT / f"{name}.csv", columns)
 

@@ -22,7 +22,6 @@ CYCLE = ("#0072b2", "#e69f00", "#009e73", "#cc79a7", "#56b4e9", "#d55e00")
 FIGURES = "figures"  # below the folder of a page: figures and their numbers, never beside recordings
 TIME = "time from the start (s)"
 DRAWN = 12  # recordings on a page; more are too long to read
-_PERIODS = 12  # of a sine are drawn, if all of them would make a solid block
 
 
 def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
@@ -32,7 +31,7 @@ def line(ax: Axes, across: np.ndarray, values: np.ndarray, **style) -> None:
 
 
 def some_periods(values: np.ndarray) -> slice:
-    """Return the part of a signal to draw: all of it, or some periods of the middle if more would fill a solid block.
+    """Return the part of a signal to draw: all of it, or 12 periods of the middle if more than 25 make a solid block.
 
     Args:
         values: signal, shape (T,); nan where missing.
@@ -46,11 +45,12 @@ def some_periods(values: np.ndarray) -> slice:
     turns = places[1:][np.diff(sides[places]) != 0]
     if len(turns) <= 50:  # 25 periods
         return slice(None)
+    # periods of a sine are equal, those of a chirp are not
     short, long = np.quantile(np.diff(turns), (0.1, 0.9))
     if long > 2 * short:
         return slice(None)
-    first = len(turns) // 2 - _PERIODS
-    return slice(int(turns[first]), int(turns[first + 2 * _PERIODS]) + 1)
+    first = len(turns) // 2 - 12
+    return slice(int(turns[first]), int(turns[first + 24]) + 1)
 
 
 def volts(voltage, unit: str = "V") -> tuple[np.ndarray, str]:

@@ -43,7 +43,7 @@ def fit_page(
     errors = [_error(scores[r.name]) for r in records]
     runs = sorted(zip(errors, records, predictions, strict=True), key=lambda run: -run[0])
     complete = [(r, p) for error, r, p in runs if not p.diverged and np.isfinite(error)]
-    pictures = [_map(records, errors)]
+    pictures = [_map(records, errors)]  # the others need a finite error, or a trained range
     if complete:
         pictures.append(_spectra(complete))
     if len(model.domain.region):

@@ -16,9 +16,6 @@ from scipy.stats import qmc
 from .limits import Limits
 from .waveforms import smooth_step
 
-_LEAST = 0.15  # of the largest force: the smallest peak of an input
-_FROM_ZERO = 0.75  # of the points have the limits' lowest voltage, as most test inputs do
-
 
 @dataclass(frozen=True)
 class Planned:
@@ -66,9 +63,12 @@ def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:
     sobol = qmc.Sobol(3, seed=seed)  # pyright: ignore[reportCallIssue]
     drawn = sobol.random(1 << max(count - 1, 1).bit_length())[:count]  # balanced only for powers of two
     first, last = np.log(limits.band)
-    force = _LEAST + (1 - _LEAST) * drawn[:, 1] ** 0.5  # more points near the largest force
+    least = 0.15  # of the largest force: the smallest peak of an input
+    from_zero = 0.75  # of the points have the limits' lowest voltage, as most test inputs do
+    force = least + (1 - least) * drawn[:, 1] ** 0.5  # more points near the largest force
     high = limits.high * np.sqrt(force)
-    bias = 0.7 * np.maximum(0.0, (drawn[:, 2] - _FROM_ZERO) / (1 - _FROM_ZERO))
+    # the lowest force is at most 0.7 of the highest one
+    bias = 0.7 * np.maximum(0.0, (drawn[:, 2] - from_zero) / (1 - from_zero))
     low = high * np.sqrt(bias) if limits.low == 0 else limits.low + bias * (high - limits.low)
     return np.stack([np.exp(first + (last - first) * drawn[:, 0]), low, high], 1)
 

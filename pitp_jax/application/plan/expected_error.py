@@ -27,8 +27,6 @@ from ...method.simulate.prediction import FAR, at_rate, predict
 from ...method.train.refine import prior_weights, thinning
 from ...method.train.settings import Settings, firmness_of
 
-_AT_ONCE = 8  # runs a batch: their slopes are (errors, parameters) each
-
 
 def information(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float = 0.0) -> list[np.ndarray]:
     """Return the information of simulated motions on the model's parameters, (P, P) each; 0 if diverged or motionless.
@@ -72,9 +70,9 @@ def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: fl
 
 def _batches(*arrays):
     """Yield arrays in batches of equal size, padded with copies of the last row, for one compiled program."""
-    count = len(arrays[0])
-    for first in range(0, count, _AT_ONCE):
-        part = np.minimum(np.arange(first, first + _AT_ONCE), count - 1)
+    count, size = len(arrays[0]), 8  # the slopes of a run are (errors, parameters) each
+    for first in range(0, count, size):
+        part = np.minimum(np.arange(first, first + size), count - 1)
         yield tuple(a[part] for a in arrays)
 
 

@@ -70,7 +70,7 @@ def _growth(seconds: float, limits: Limits) -> list[Planned]:
     for level in _GROWTH:
         time, voltage = _swept(level, seconds, limits)
         top = float(np.abs(voltage).max())
-        if top > 1.1 * reached:
+        if top > 1.1 * reached:  # the slew may allow no more than the sweep before
             part = f"{100 * top / limits.high:.0f} % of the {limits.units.input_word}"
             text = f"shows whether the actuator bears {part}: check the stroke before the next one"
             name = f"growth_{100 * top / limits.high:.0f}"
@@ -135,13 +135,13 @@ def in_order(
 
     `recorded`: the largest stroke of the earlier recordings, m.
     """
-    bound = np.isfinite(limits.farthest) and len(recordings) > 1
-    farther = _farther(recordings, limits, recorded) if bound else []
+    bounds = np.full(len(recordings), np.inf)
+    if np.isfinite(limits.farthest):
+        bounds[1:] = limits.farthest / np.maximum(_farther(recordings, limits, recorded)[1:], 1.0)
     ordered = []
-    for k, r in enumerate(recordings, 1):
-        go_on = limits.farthest / max(farther[k - 1], 1.0) if bound and k > 1 else np.inf
-        sign = -1.0 if alternate and k % 2 == 0 else 1.0
-        ordered.append(replace(r, name=f"{k:02d}_{r.name}", voltage=sign * r.voltage, go_on=go_on))
+    for k, r in enumerate(recordings):
+        voltage = (-1.0) ** (alternate * k) * r.voltage
+        ordered.append(replace(r, name=f"{k + 1:02d}_{r.name}", voltage=voltage, go_on=float(bounds[k])))
     return tuple(ordered)
 
 

@@ -24,8 +24,6 @@ from .first_session import FEWEST, POINTS, default_duration, drive
 from .limits import Limits
 from .strokes import strokes
 
-_CANDIDATES = 48  # inputs to choose from
-
 
 @dataclass(frozen=True)
 class Next:
@@ -72,8 +70,9 @@ def following(model: Model, records: Sequence[Record], limits: Limits, length: f
     count = int(length / one * (1 + 1e-9))
     if count < 1:
         raise BadInput(f"--duration {length:g} s is too short; one recording takes {limits.shortest:.3g} s")
-    points = space_filling(_CANDIDATES * POINTS, limits, seed)
-    tried = [drive(points[k::_CANDIDATES], one, limits) for k in range(_CANDIDATES)]
+    candidates = 48
+    points = space_filling(candidates * POINTS, limits, seed)
+    tried = [drive(points[k::candidates], one, limits) for k in range(candidates)]
     tried, notes = bearable(model, tried, limits)
     # other points than the candidates', which would predict themselves best
     wanted = [drive(p[None], one, limits) for p in space_filling(16, limits, seed + 1)]

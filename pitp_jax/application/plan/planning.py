@@ -135,13 +135,11 @@ def plan(
         return _played(first_session(limits, length, seed), limits, alternate)
     recorded = max(map(_stroke, records), default=0.0)
     first, length, notes = _missing(fitted, limits, length)
-    if first and length < limits.shortest:
+    if first and (length < limits.shortest or (trained(model) and not records)):
         return _played(first, limits, alternate, recorded, notes=notes)
     if not trained(model):  # a linear model predicts strokes, but not its own errors
         filling, more = bearable(model, space_filling_set(limits, length, seed), limits)
         return _played([*first, *filling], limits, alternate, recorded, notes=notes + more)
-    if not records and first:
-        return _played(first, limits, alternate, recorded, notes=notes)
     if not records:
         raise BadInput("planning for a trained model needs the recordings it was trained on; give them too")
     chosen = following(model, records, limits, length, seed)
@@ -191,6 +189,7 @@ def _of_length(drives: Sequence[Planned], limits: Limits) -> tuple[str, ...]:
     low, high = limits.band
     # duration of a swing between the limits and back at the largest slew
     stretched = 2 * (limits.high - limits.low) / limits.slew
+    # a recording of a minute, or of one period of the lowest frequency, is not long
     long = [d for d in drives if d.seconds > max(60.0, 1 / low)]
     if not long or stretched < 1 / high:
         return ()

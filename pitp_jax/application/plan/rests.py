@@ -15,6 +15,7 @@ _LONGEST = 30.0  # s
 
 def first_rest(band: tuple[float, float]) -> float:
     """Return the pause between recordings of a first session, s, rounded up to tenths."""
+    # the damping ratio of an actuator without a model is taken as 0.05
     w = 2 * np.pi * np.sqrt(band[0] * band[1])
     return min(float(np.ceil(-10 * np.log(_SETTLED) / (0.05 * w)) / 10), _LONGEST)
 

@@ -24,7 +24,7 @@ def smooth_step(s: np.ndarray) -> np.ndarray:
 
 
 def _clock(duration: float, rate: float) -> np.ndarray:
-    count = round(duration * rate) if duration > 0 and rate > 0 else 0
+    count = round(max(duration, 0.0) * max(rate, 0.0))
     if count < 2:
         raise ValueError(f"duration {duration} s at {rate} Hz gives fewer than two samples; increase one of them")
     return np.arange(count) / rate

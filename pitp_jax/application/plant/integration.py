@@ -24,7 +24,7 @@ def substeps(plant: Plant, dt: float) -> int:
 
 def rest(plant):
     """Return the scaled state of a virtual actuator at rest, shape (2 + branches,)."""
-    return jnp.zeros(2 + len(plant.branches))
+    return jnp.zeros(2 + len(plant.branches))  # displacement, velocity, one stretch per branch
 
 
 def advance(plant: Plant, state, u0, u1, *, dt, count: int, hold: str):

@@ -39,28 +39,27 @@ _CONE = Plant(
     friction=0.45,
     capacitance=0.35e-9,
 )
-_ROLL = Plant(
-    name="roll",
-    rate_hz=5e3,
-    mass=0.012,
-    max_voltage=1.4e3,
-    noise_std=0.5e-6,
-    sensor_range=1e-3,
-    scale=0.1e-3,
-    geometry=RollGeometry(width=8e-3),
-    prestretch=1.0,
-    spring=0.143573,
-    limit=2.0,
-    branches=((6e-3, 0.1), (6e-3, 1.0), (8e-3, 8.0)),
-    membrane_damping=2.5e-5,
-    friction=0.5,
-    capacitance=2.5e-9,
-)
 _PLANTS = {
     "cone100": _CONE,
     "cone122": replace(_CONE, name="cone122", mass=0.122),
     "cone150": replace(_CONE, name="cone150", mass=0.150),
-    "roll": _ROLL,
+    "roll": Plant(
+        name="roll",
+        rate_hz=5e3,
+        mass=0.012,
+        max_voltage=1.4e3,
+        noise_std=0.5e-6,
+        sensor_range=1e-3,
+        scale=0.1e-3,
+        geometry=RollGeometry(width=8e-3),
+        prestretch=1.0,
+        spring=0.143573,
+        limit=2.0,
+        branches=((6e-3, 0.1), (6e-3, 1.0), (8e-3, 8.0)),
+        membrane_damping=2.5e-5,
+        friction=0.5,
+        capacitance=2.5e-9,
+    ),
 }
 
 _HOLDS = ("foh", "zoh")

@@ -22,7 +22,7 @@ from .kernels import DELAY
 if TYPE_CHECKING:
     from .spec import EffectSpec, Parameter
 
-_STEPS, _FLATTEST = 8, 0.05  # of Newton's method, and the least slope that it divides by
+_STEPS = 8  # of Newton's method
 
 
 @dataclass(frozen=True)
@@ -245,12 +245,12 @@ class Effect:
 def solve(function: Callable, wanted: Array, begin: Array | None = None, steps: int = _STEPS) -> Array:
     """Solve function(w) = wanted for every element by Newton's method, starting at `begin` or at `wanted`.
 
-    A step is taken only if it reduces the error: w does not change in a flat part (a clip).
+    A step is taken only if it reduces the error: w does not change in a flat part (a clip). The least slope is 0.05.
     """
     w = wanted if begin is None else begin
     for _ in range(steps):
         # one pass gives the value and its exact slope, for any law that JAX can trace
         value, rise = jax.jvp(function, (w,), (jnp.ones_like(w),))
-        tried = w + (wanted - value) / where(jnp.abs(rise) < _FLATTEST, _FLATTEST, rise)
+        tried = w + (wanted - value) / where(jnp.abs(rise) < 0.05, 0.05, rise)
         w = where(jnp.abs(function(tried) - wanted) < jnp.abs(value - wanted), tried, w)
     return w

@@ -21,15 +21,13 @@ from .spec import EffectSpec, Parameter
 
 _spring = partial(EffectSpec, family="stiffness", port="K")  # a force beside the linear spring
 
-_LIMIT = 0.97**2  # of the squared length of the Gent-like spring; above, the force continues linearly
-
 
 def _gent(p, now):
-    square = (p.curvature * now.x) ** 2
-    inside = square / (1 - jnp.minimum(square, _LIMIT))
+    square, limit = (p.curvature * now.x) ** 2, 0.97**2  # of the squared length
+    inside = square / (1 - jnp.minimum(square, limit))
     # the tangent there, so that a rollout beyond the chain's end meets a steep spring instead of a division by zero
-    beyond = _LIMIT / (1 - _LIMIT) + (square - _LIMIT) / (1 - _LIMIT) ** 2
-    return now.k * now.x * jnp.where(square < _LIMIT, inside, beyond)
+    beyond = limit / (1 - limit) + (square - limit) / (1 - limit) ** 2
+    return now.k * now.x * jnp.where(square < limit, inside, beyond)
 
 
 def _quadratic(p, now):
@@ -80,8 +78,12 @@ def _by_tangent(p, k, plant):
 
 def _polynomial(name: str, title: str) -> EffectSpec:
     """Build the catalogue entry of a polynomial spring whose terms may have either sign."""
+    parameters = tuple(
+        Parameter(f"c{n}", unit, length=1 - n, positive=False, off=0.0)
+        for n, unit in ((2, "1/x"), (3, "1/x^2"), (5, "1/x^4"))
+    )
     return _spring(
-        name, "polynomial", _POLYNOMIAL, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)",
+        name, "polynomial", parameters, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)",
         reported=_by_tangent, law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
     )  # fmt: skip
 
@@ -93,10 +95,6 @@ def _pushed(p, now, depth, sign):
 
 _STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
 _STOPS = (*_STOP, Parameter("opposite", "x", length=1, positive=False))
-# the tangent at the ends of the motion decides which of the two names a polynomial has
-_POLYNOMIAL = tuple(
-    Parameter(f"c{n}", f"1/x^{n - 1}" if n > 2 else "1/x", length=1 - n, positive=False, off=0.0) for n in (2, 3, 5)
-)
 _CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
 
 SPRINGS = (

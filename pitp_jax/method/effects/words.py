@@ -19,7 +19,6 @@ PLAIN = {
 } | {
     spec.name: spec.title[0].lower() + spec.title[1:].rstrip(".") for spec in reversed(CATALOGUE)
 }  # reversed, so that a name's first form defines it
-_LIMITS = {"inverse": "limit", "curvature": "limit"}  # parameters stored as the inverse of the value shown here
 _FACTOR = " over given"  # of a parameter of the nominal that was refitted
 
 
@@ -69,12 +68,13 @@ def _in_handy_units(name: str, unit: str, values: Sequence[float], length_unit: 
         return label, "", tuple(values)
     if name == "omega":  # of a mode: independent of an angle's unit
         return "frequency", "Hz", tuple(v / (2 * np.pi) for v in values)
-    if name in _LIMITS and all(values) and "/" in unit:
+    # a parameter stored as the inverse of the value shown here
+    if name in ("inverse", "curvature") and all(values) and "/" in unit:
         top, _, bottom = unit.partition("/")
         bottom = re.sub(r"^\((.*)\)$", r"\1", bottom)  # of a unit such as 1/(deg/s)
         inside = per_second(bottom, {"1": 0, "s": 1, "s^2": 2}[top])
         factor, shown = _handy(1 / values[0], inside, length_unit)
-        return _LIMITS[name], shown_unit(shown), tuple(factor / v for v in values)
+        return "limit", shown_unit(shown), tuple(factor / v for v in values)
     factor, shown = _handy(values[0], unit, length_unit)
     return name, "" if shown == "1" else shown_unit(shown), tuple(factor * v for v in values)
 

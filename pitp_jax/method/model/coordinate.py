@@ -34,11 +34,16 @@ def from_model(model: Model, x: Values, zero: Zero = "rest") -> Values:
     """Convert the model's displacement x (m) to the coordinate y (m), or to a displacement with another origin."""
     if zero == "sensor":
         return model.output.to_rig(x)
-    return sign(model) * x + (0.0 if zero == "rest" else zero)
+    return sign(model) * x + _at_rest(zero)
 
 
 def to_model(model: Model, y: Values, zero: Zero = "rest") -> Values:
     """Convert a displacement (m) in the coordinate y, or with another origin, to the model's displacement x (m)."""
     if zero == "sensor":
         return model.output.to_model(y)
-    return sign(model) * (y - (0.0 if zero == "rest" else zero))
+    return sign(model) * (y - _at_rest(zero))
+
+
+def _at_rest(zero: Literal["rest"] | float) -> float:
+    """Return the displacement at 0 V."""
+    return 0.0 if zero == "rest" else zero

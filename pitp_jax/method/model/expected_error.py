@@ -113,6 +113,7 @@ def _moves(run: np.ndarray, dt: float) -> list[tuple[float, float]]:
 def _limited(moves: Float[np.ndarray, "windows two"], largest: float, dt: float) -> Float[np.ndarray, "windows two"]:
     """Return frequencies and amplitudes with a lower limit, which a window without motion would not have."""
     hz, size = moves.T
+    # 2 % of the largest amplitude: slower and smaller motions count as this
     # the frequency of a motion below the limit is that of its speed over the limit
     limited = np.maximum(size, 0.02 * largest)
     # above 0 Hz, because the cells are counted in octaves

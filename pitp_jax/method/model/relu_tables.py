@@ -12,9 +12,6 @@ from jaxtyping import Array, Float
 
 from .rows import affine
 
-_BLOCK = 1000  # instants at once, so that the activations of all tokens stay in the cache
-_NO_KNOT = 1e30  # knot of a branch without slope; the sum of two is finite in float32
-
 
 def tables(
     networks,
@@ -28,7 +25,8 @@ def tables(
     a = weight[..., 0]
     tokens, features, width = a.shape
     fusion = networks.fusion.weight.reshape(tokens, -1, features, width)
-    knots = jnp.sort(jnp.clip(jnp.where(a == 0, _NO_KNOT, -b / jnp.where(a == 0, 1.0, a)), -_NO_KNOT, _NO_KNOT), -1)
+    far = 1e30  # knot of a branch without slope; the sum of two is finite in float32
+    knots = jnp.sort(jnp.clip(jnp.where(a == 0, far, -b / jnp.where(a == 0, 1.0, a)), -far, far), -1)
     # a point inside every piece shows which units are active there, whatever the order of equal knots
     inside = (knots[..., 1:] + knots[..., :-1]) / 2
     low, high = knots[..., :1], knots[..., -1:]
@@ -42,10 +40,11 @@ def tables(
 def logits_by_tables(networks, features: Float[Array, "features time"]) -> Float[Array, "tokens time"]:
     """Compute the logits of every instant from tables, in blocks of instants, without the offset token's logit."""
     kinds, count = features.shape
-    blocks = -(-count // _BLOCK)
-    padded = jnp.pad(features, ((0, 0), (0, blocks * _BLOCK - count)))
+    size = 1000  # instants at once, so that the activations of all tokens stay in the cache
+    blocks = -(-count // size)
+    padded = jnp.pad(features, ((0, 0), (0, blocks * size - count)))
     made = tables(networks)
-    logits = jax.lax.map(lambda f: _block(networks, made, f), padded.reshape(kinds, blocks, _BLOCK).swapaxes(0, 1))
+    logits = jax.lax.map(lambda f: _block(networks, made, f), padded.reshape(kinds, blocks, size).swapaxes(0, 1))
     return logits.swapaxes(0, 1).reshape(logits.shape[1], -1)[:, :count]
 
 

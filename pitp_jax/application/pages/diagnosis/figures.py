@@ -21,7 +21,6 @@ from ....method.diagnose.words import worst
 from ....method.model.units import units_of
 from ..drawing import DRIVE, ERROR, MEASURED, PREDICTED, beside, signals, volts
 
-TIED = "#e69f00"
 FIGURES = ("gap", "where", "shares", "force", "ranking", "next_experiment")
 _SMALL = 8.0  # points: text beside bars
 
@@ -119,10 +118,11 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the held-out gap that each effect closes, with its interval, the largest first."""
     rows = [("all reported", d.gap)] if len(d.effects) > 1 and d.gap.closed_fraction is not None else []
     best = {r.effect: r for r in reversed(d.ranking) if r.closed_fraction is not None}  # of a name its best form
+    # at most 12 effects fit into the figure
     rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: 12 - len(rows)]
     (ax,) = axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))
     for k, (name, r) in enumerate(rows):
-        color = TIED if name in d.equivalent else MEASURED
+        color = "#e69f00" if name in d.equivalent else MEASURED
         color = PREDICTED if name in d.effects or r is d.gap else color
         ax.barh(k, np.clip(r.closed_fraction or 0.0, 0, 1), color=color, height=0.68)
         if r.ci95 is not None:
