@@ -9,7 +9,7 @@ from played import DT, FEW, TIME, nominal_of, play
 from typed import some
 
 import pitp_jax as pitp
-from pitp_jax.method.diagnose import fit
+from pitp_jax.method.diagnose import data, fit
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import probability
 from pitp_jax.method.diagnose.fit import Fit, Fitter
@@ -51,7 +51,7 @@ def test_a_fit_finds_the_number_that_was_planted(stiff):
     assert max(rms) < 3 * max(s.noise for s in stiff.series) + 1e-3
 
 
-def test_what_is_handed_back_is_fitted_to_every_sample(nominal):
+def test_what_is_handed_back_is_fitted_to_every_sample(nominal, monkeypatch):
     """Dry friction is found to 1 in 100,000 from all samples; means of more than ten are off by over 1 in 10,000."""
     row, dt, time = lookup("coulomb_friction", "Coulomb"), 1e-3, np.arange(12_000) * 1e-3
     (level,), plain = slots_of_row(row), replace(nominal, domain=replace(nominal.domain, dt=dt))
@@ -59,6 +59,7 @@ def test_what_is_handed_back_is_fitted_to_every_sample(nominal):
     u = 800 + 500 * np.sin(0.6 * np.pi * time) * np.sin(0.26 * np.pi * time + 1)
     start = np.asarray(rest_state(model), np.float64)[None]
     x = float(model.scales.state[0]) * model_runs(model, u[None], dt, start)[1][0]
+    monkeypatch.setattr(data, "THINNED_SAMPLES", 600)
     case = build_case(plain, [pitp.Record("slow", time, u, x)])
     slots = case.nominal.copy()
     slots[INDEX[level]] = 0.03
@@ -279,13 +280,14 @@ def test_oversampled_records_are_thinned_and_the_mode_stays_resolved(nominal):
 
 
 @pytest.mark.parametrize("samples", range(3000, 3009))
-def test_drive_and_motion_have_as_many_thinned_samples(nominal, samples):
+def test_drive_and_motion_have_as_many_thinned_samples(nominal, samples, monkeypatch):
     """Whatever is left over at the end, and whether the mean is over an even or an odd number."""
+    monkeypatch.setattr(data, "THINNED_SAMPLES", 600)
     time = np.arange(samples) * 1e-3
     for factor in (1.0, 1.3):
         u = 300 + 200 * np.sin(2 * np.pi * factor * 2.0 * time)
         case = build_case(nominal, [pitp.Record("fine", time, u, 1e-3 * np.sin(time))])
-        assert len(case.simulator.drives[0].voltage) == len(case.series[0].output)
+        assert case.thinned > 1 and len(case.simulator.drives[0].voltage) == len(case.series[0].output)
 
 
 def test_a_long_record_is_seen_to_its_end(nominal):

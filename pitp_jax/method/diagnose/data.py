@@ -4,9 +4,10 @@
                                                                    lag or a filter of the output for the others)
 
 Every k-th sample is kept. Input (as a force) and motion are averaged over the k samples around it with the same
-weights, so a linear plant's response to the averaged input is its averaged response. k leaves the fastest relevant mode
-or input some 50 samples a period; below 10 the simulator's own error would be reported as effects. Offset and direction
-of each record are removed.
+weights, so a linear plant's response to the averaged input is its averaged response. All records together keep some
+thousand samples, so that few are not averaged at all: dry friction sticks elsewhere under an averaged input. Below 10
+samples a period the simulator's own error would be reported as effects. Offset and direction of each record are
+removed.
 """
 
 from collections.abc import Sequence
@@ -27,11 +28,9 @@ from ..simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
 
-PERIOD, COARSEST = 40.0, 16.0  # samples a period of the fastest mode or input; fewer if all together exceed:
-THINNED_SAMPLES = 12_000
+THINNED_SAMPLES, COARSEST = 6_000, 16.0  # kept of all records; at least, a period of the fastest mode or input
 _ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
 STEPS = 4  # steps a thinned sample of a linear core, at most
-_FEWEST = 300  # samples a thinned record keeps
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
 _MOST_FOLDS = 6  # each fold is another refit of every hypothesis
 _AROUND = 1e-3  # of the force's energy: outside of the band that was excited
@@ -232,13 +231,12 @@ def steps_a_sample(model: Model, others: Model | None, dt: float) -> int:
 
 
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
-    """Return how many samples to average into one: `PERIOD` per period of the fastest mode or input remain."""
+    """Return how many samples to average into one: `THINNED_SAMPLES` remain, or `COARSEST` a period of the fastest."""
     dt = records[0].dt
     forces = [model.input_map.force(r.voltage) for r in records]
     fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
-    wanted, total = 1 / (PERIOD * fastest * dt), sum(r.samples for r in records) / THINNED_SAMPLES
-    k = min(max(wanted, min(total, wanted * PERIOD / COARSEST)), max(r.samples for r in records) / _FEWEST)
-    return max(int(k), 1)
+    coarsest, wanted = 1 / (COARSEST * fastest * dt), sum(r.samples for r in records) / THINNED_SAMPLES
+    return max(int(min(coarsest, wanted)), 1)
 
 
 def _parts(records: int) -> int:
