@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from pitp_jax.method.diagnose import reference
 from pitp_jax.method.diagnose.data import Case, Series, _folds
@@ -80,3 +81,9 @@ def test_every_so_many_rows_of_a_long_case_tell_nearly_the_same(monkeypatch):
     part = min(e.score for e in reference._ridge(case, h, columns, np.zeros(4)))
     assert part != whole
     assert part == pytest.approx(whole, abs=0.02)
+
+
+def test_a_plant_almost_without_a_spring_integrates():
+    """1 / (T s + 1), T = 1e13 s: after n samples of a force of 1 it has moved by (n - 1/2) dt / T."""
+    b, a = reference.sampled(np.array([1e13, 1.0]), 0.02)
+    assert lfilter(b, a, np.ones(100)) == pytest.approx((np.arange(100) + 0.5) * 0.02 / 1e13, rel=1e-9)

@@ -232,10 +232,9 @@ def steps_a_sample(model: Model, others: Model | None, dt: float) -> int:
 
 def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
     """Return how many samples to average into one: `THINNED_SAMPLES` remain, or `COARSEST` a period of the fastest."""
-    dt = records[0].dt
     forces = [model.input_map.force(r.voltage) for r in records]
     fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
-    coarsest, wanted = 1 / (COARSEST * fastest * dt), sum(r.samples for r in records) / THINNED_SAMPLES
+    coarsest, wanted = 1 / (COARSEST * fastest * records[0].dt), sum(r.samples for r in records) / THINNED_SAMPLES
     return max(int(min(coarsest, wanted)), 1)
 
 
@@ -256,7 +255,7 @@ def _folds(series: Sequence[Series]) -> tuple[tuple[int, ...], ...]:
 
 def excited_hz(case: Case) -> tuple[float, float]:
     """Return the band (Hz) with 99.9 % of the drive term's energy, and equal remainders on both sides."""
-    forces = [d.voltage * np.abs(d.voltage) if case.simulator.square else d.voltage for d in case.simulator.drives]
+    forces = [case.simulator.signed_force(d.voltage) for d in case.simulator.drives]
     ends = [force_band(forces, case.dt, share) for share in (_AROUND / 2, 1 - _AROUND / 2)]
     return ends[0], ends[1]
 
@@ -266,7 +265,7 @@ def excitations(case: Case) -> int:
     rows = []
     for d in case.simulator.drives:
         for part in np.array_split(d.voltage[2:], 6):  # the first two may be the rest before a jump
-            w = part * part if case.simulator.square else part
+            w = case.model.input_map.force(part)
             spread, speed = np.std(w), np.std(np.diff(w)) / d.dt
             rows.append((spread, speed / (spread + 1e-300)))
     rows = np.array(rows)

@@ -13,7 +13,7 @@ bound, because forces along a run without friction cannot follow friction.
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import bilinear, lfilter
+from scipy.signal import bilinear_zpk, lfilter, zpk2tf
 
 from .data import Case
 from .evidence import Evidence, evidence
@@ -46,6 +46,11 @@ def _forces(x: np.ndarray, v: np.ndarray, u: np.ndarray) -> list[np.ndarray]:
     ]  # fmt: skip
 
 
+def sampled(poly: np.ndarray, dt: float) -> tuple:
+    """Return the filter of 1 / poly(s), highest power first, at intervals of dt (s): numerator, denominator."""
+    return zpk2tf(*bilinear_zpk([], np.roots(poly), 1 / poly[0], 1 / dt))
+
+
 class _Features:
     """Basis functions of a black-box model for every record, from the simulation of one hypothesis."""
 
@@ -62,11 +67,11 @@ class _Features:
         a0, a1, a2 = (h.fit.slots[INDEX[k]] for k in CORE)
         # a plant without a spring has no static gain for the scale
         unit = a0 if a0 > 0 else a1 / case.dt / 100
-        poly = [a2 / unit, a1 / unit, a0 / unit] if a2 > 0 else [a1 / unit, a0 / unit]
+        poly = np.trim_zeros(np.array([a2, a1, a0]) / unit, "f")
         self.parts: list[dict[str, list[np.ndarray]]] = []
         for run, speed, d in zip(runs, speeds, drives, strict=True):
             # the linear plant as a filter, so that a force appears as its motion
-            b, a = bilinear([1.0], poly, 1 / d.dt)
+            b, a = sampled(poly, d.dt)
             # clipped, because powers of a run that diverges would decide the fit alone
             x, v, u = np.clip(run / sx, -8, 8), np.clip(speed / sv, -8, 8), d.voltage / top
             forces = _forces(x, v, u)

@@ -26,7 +26,7 @@ def scale_of(case: Case, base: Fit) -> Scale:
         tau = a1 / a0 if a0 > 0 else 10 * case.dt
     tau = float(np.clip(tau, case.dt, longest))
     volts = np.concatenate([d.voltage for d in drives])
-    force = (volts**2 if case.simulator.square else volts) / case.simulator.force_scale
+    force = case.model.input_map.force(volts) / case.simulator.force_scale
     # of the input's integral, the unit of a loop around a speed command
     area = float(max(np.std(np.cumsum(d.voltage - d.voltage.mean()) * d.dt) for d in drives)) + 1e-12
     ages = [d.age for d in drives]

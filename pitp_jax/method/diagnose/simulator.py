@@ -119,6 +119,10 @@ class Simulator:
         """Return the scale of F, V^2 or V."""
         return float(self.model.scales.force)
 
+    def signed_force(self, voltage: np.ndarray) -> np.ndarray:
+        """Compute V|V|, or V, of any shape."""
+        return np.copysign(self.model.input_map.force(voltage), voltage)
+
     def run(self, slots: np.ndarray, records: Sequence[int], starts: np.ndarray) -> list[np.ndarray]:
         """Simulate parameter vectors, each with a record from (x, v); return scaled outputs (T,), nan if diverged."""
         places = np.asarray(records, int)
@@ -182,7 +186,7 @@ class Simulator:
                 force = drive.film.force(place * drive.dt - delay)
                 columns.append(root(force) if self.square else force)
                 continue
-            force = drive.voltage * np.abs(drive.voltage) if self.square else drive.voltage
+            force = self.signed_force(drive.voltage)
             column = np.interp(place - delay / drive.dt, np.arange(len(force)), force)
             column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))

@@ -75,7 +75,7 @@ def motions(case: Case, scale: Scale) -> Seen:
         place = np.arange(len(s.output))
         filled = np.interp(place, place[s.counts], s.output[s.counts])
         record = Record(s.record.name, d.age + place * dt, d.voltage, filled)
-        force = (d.voltage**2 if case.simulator.square else d.voltage) / case.simulator.force_scale
+        force = case.model.input_map.force(d.voltage) / case.simulator.force_scale
         # six times the resonance, three lines of the record, and never near the Nyquist frequency
         cut = min(max(6 * omega / (2 * np.pi), 3 / (len(place) * dt)), 0.3 / dt)
         states = preprocess(record, 2, cut, force, displacement=filled).states
