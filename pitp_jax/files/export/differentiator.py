@@ -20,7 +20,6 @@ from scipy.interpolate import make_interp_spline
 HALF = 12  # blocks on either side of the one in which the derivative is taken
 BLOCKS = 2 * HALF + 2
 ALLOWED = 5e-3  # of the force
-_LENGTHS = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples to a block
 
 
 @dataclass(frozen=True)
@@ -107,7 +106,8 @@ def differentiator(
     """
     order = len(a) - 1
     best, least = Differentiator(order, dt, 1, 0, late), np.inf
-    tried = [best] + [Differentiator(order, dt, b, order + d, late) for b in _LENGTHS for d in (2, 4, 6)]
+    blocks = (1, 2, 3, 4, 6, 8, 12, 16, 24, 32, 48, 64)  # samples each
+    tried = [best] + [Differentiator(order, dt, b, order + d, late) for b in blocks for d in (2, 4, 6)]
     for one in tried:
         error = one.error(a, omega, rounding)
         if error < least:

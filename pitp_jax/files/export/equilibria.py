@@ -16,8 +16,7 @@ from ...method.model.model import Model
 from ...method.model.programs import full_precision
 from ...method.simulate import ports
 
-_LEVELS = (0.1, 0.25, 0.5, 0.75, 1.0)  # fractions of the stroke that voltages can hold
-_SCANNED, _SECTIONS = 65, 6  # displacements of one section, and sections: the last one is 1e-11 of the stroke wide
+_SCANNED = 65  # displacements of one section
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,8 @@ def equilibria(model: Model) -> list[Equilibrium]:
     for end in _ends(model):
         if end == 0 or (end < 0 and model.input_map.one_sided):
             continue
-        x = np.multiply(_LEVELS, _reached(holding, end, most if end > 0 else least))
+        # fractions of the stroke that voltages can hold
+        x = np.multiply((0.1, 0.25, 0.5, 0.75, 1.0), _reached(holding, end, most if end > 0 else least))
         for place, force, stiffness in zip(x, *holding(x), strict=True):
             u = _bracketed(model, float(force), low, high)
             if u is not None and (u > 0 or not model.input_map.one_sided):
@@ -91,7 +91,7 @@ def holding_force(model: Model, x):
 def _reached(holding, end: float, limit: float) -> float:
     """Return the displacement up to `end` (m) that a force below `limit` can hold."""
     low, high = 0.0, end
-    for _ in range(_SECTIONS):
+    for _ in range(6):  # the last section is 1e-11 of the stroke wide
         x = np.linspace(low, high, _SCANNED)
         beyond = np.flatnonzero(np.sign(end) * (holding(x)[0] - limit) > 0)
         if not len(beyond) or beyond[0] == 0:

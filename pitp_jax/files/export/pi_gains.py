@@ -32,11 +32,7 @@ from ...method.model.programs import in_double
 from .equilibria import equilibria
 
 SENSITIVE = 2.0  # a gain margin of 2 and a phase margin of 29 degrees at least (Astrom and Hagglund)
-_CHOSEN = 1.7  # bound for the default time constant, below the limit, because a model is not the actuator
-_FINER, _LONGEST = 1.05, 1e3  # ratio of two time constants of a search; its end, over 2 / (zeta w_0)
-_SAMPLES = 10.0  # lambda at least, in samples, by default
-_PART = 0.1  # of the range of voltages: a correction that the slew limit allows within lambda
-_STEP = 1 / 3  # of the largest step of a sample: what the noise may move the voltage in one
+_FINER = 1.05  # ratio of two time constants of a search
 _ALONE = "; --time-constant inf exports the feedforward without a controller"
 
 
@@ -85,14 +81,15 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
         True
     """
     model = model_of(model)
-    dt = model.dt if dt is None else dt
+    dt = dt or model.dt
     if time_constant is not None and np.isposinf(time_constant):
         return PIGains(0.0, 0.0, np.inf, np.inf, 1.0)
     if time_constant is not None and not time_constant > 0:
         raise BadInput(f"--time-constant {time_constant:g} is not a positive number of seconds")
     tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
     if time_constant is None:
-        return _shortest(tuned, slowest, dt, _CHOSEN, model)
+        # below the limit, because a model is not the actuator
+        return _shortest(tuned, slowest, dt, 1.7, model)
     gains = tuned(time_constant)
     if gains.max_sensitivity > SENSITIVE:
         enough = _shortest(tuned, max(slowest, time_constant), dt, SENSITIVE)
@@ -143,12 +140,16 @@ def _is_calm(model: Model, gains: PIGains, dt: float) -> bool:
     """Return whether the loop leaves room for the sample time, and asks no more of the slew than the limit gives."""
     low, high = model.domain.voltage_range
     slew, top = slew_of(model), max(abs(low), abs(high))
+    if gains.time_constant < 10 * dt:
+        return False
     if not np.isfinite(slew) or not np.isfinite(top):
-        return bool(gains.time_constant >= _SAMPLES * dt)
-    seconds = max(_SAMPLES * dt, _PART * (high - low) / slew)
+        return True
+    # the slew limit allows a correction of a tenth of the range within the time constant
+    seconds = 0.1 * (high - low) / slew
     jump = np.sqrt(2) * gains.p * gains.smoothing * float(model.domain.noise)  # of the force in a sample, rms
     jump = jump / top if model.input_map.one_sided else jump
-    return bool(gains.time_constant >= seconds and jump <= _STEP * slew * dt)
+    # the noise may move the voltage by a third of the largest step of a sample
+    return bool(gains.time_constant >= seconds and jump <= slew * dt / 3)
 
 
 def _shortest(tuned, first: float, dt: float, sensitivity: float, calm: Model | None = None) -> PIGains:
@@ -165,9 +166,9 @@ def _shortest(tuned, first: float, dt: float, sensitivity: float, calm: Model | 
 
     gains = tuned(first)
     while not is_allowed(gains):
-        if gains.time_constant > _LONGEST * first:
+        if gains.time_constant > 1e3 * first:
             raise BadInput(
-                f"no PI controller: no time constant up to {_LONGEST * first:.2g} s keeps the maximum sensitivity "
+                f"no PI controller: no time constant up to {1e3 * first:.2g} s keeps the maximum sensitivity "
                 f"below {sensitivity:g}{_ALONE}"
             )
         gains = tuned(_FINER * gains.time_constant)

@@ -1,6 +1,9 @@
 """Describe changes of a MuJoCo file, and parameters that the file cannot hold."""
 
+import math
 from dataclasses import dataclass
+
+from ...common.numbers import number
 
 
 @dataclass(frozen=True)
@@ -19,6 +22,13 @@ class Change:
     old: str
     new: str
     text: str
+
+
+def interval(value: float, error: float | None, least: float = -math.inf) -> str:
+    """Write a 95 % interval in parentheses, of which `least` is the lowest possible end; empty without an error."""
+    if error is None:
+        return ""
+    return f" ({number(max(value - 1.96 * error, least))} to {number(value + 1.96 * error)})"
 
 
 @dataclass(frozen=True)

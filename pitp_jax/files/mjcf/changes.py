@@ -14,7 +14,7 @@ from dataclasses import replace
 
 from ...common.numbers import number
 from ...method.diagnose.joint import NAMES, Parameter, gain_factor
-from .change import Change, NotWritten
+from .change import Change, NotWritten, interval
 from .document import Tag
 from .joint import Joint
 from .weight import add_weight
@@ -50,7 +50,7 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
         difference = f * (k * row.robot - row.simulator)
         if name == "stiffness" and joint.position:  # the controller's own spring, kp g^2, grew with the gain
             difference = f * k * (row.robot - row.simulator)
-        error = None if row.stderr is None else f * k * row.stderr
+        error = row.stderr and f * k * row.stderr
         if error is not None and abs(difference) < 2 * error:
             continue
         old = getattr(joint, attribute)
@@ -81,7 +81,7 @@ def _with_weight(
         return changes, ""
     changed = next((c for c in changes if c.attribute == "armature"), None)
     armature = joint.armature if changed is None else float(changed.new)
-    error = None if row.stderr is None else f * k * row.stderr
+    error = row.stderr and f * k * row.stderr
     hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
     if hung is None:
         return changes, ""
@@ -144,8 +144,7 @@ def _moved(
     element: str, attribute: str, old: float, new: float, error: float | None, unit: str, least: float = -math.inf
 ) -> Change:
     """Return the change of one number with its 95 % interval, of which `least` is the lowest possible end."""
-    between = "" if error is None else f" ({number(max(new - 1.96 * error, least))} to {number(new + 1.96 * error)})"
-    text = f"{attribute}: {number(old)} -> {number(new)}{between} {unit}"
+    text = f"{attribute}: {number(old)} -> {number(new)}{interval(new, error, least)} {unit}"
     return Change(element, attribute, number(old), number(new, 6), text)
 
 
@@ -174,8 +173,7 @@ def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> 
             limit, old = number(scale * row.robot, 6), joint.actuator_tag.attributes.get(attribute, "")
             text = f"{attribute}: {old or 'none'} -> +- {limit}"
             changes.append(Change("actuator", attribute, old, f"-{limit} {limit}", text))
-            if not joint.autolimits:
-                changes.append(Change("actuator", attribute.replace("range", "limited"), "", "true", ""))
+            changes += _switched_on(joint, "actuator", attribute.replace("range", "limited"))
     return changes
 
 
@@ -190,8 +188,13 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
     unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
     new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
     old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)
-    changes = [Change("joint", "range", old, new, f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}")]
-    return changes if joint.autolimits else [*changes, Change("joint", "limited", "", "true", "")]
+    text = f"range: {old or 'none'} -> {new}{' degrees' * (unit != 1)}"
+    return [Change("joint", "range", old, new, text), *_switched_on(joint, "joint", "limited")]
+
+
+def _switched_on(joint: Joint, element: str, attribute: str) -> list[Change]:
+    """Return the change that switches a limit on where its range alone does not."""
+    return [Change(element, attribute, "", "true", "")] * (not joint.autolimits)
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:

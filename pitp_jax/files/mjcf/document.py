@@ -94,7 +94,8 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
 
     def begin(name: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
-        within = tuple(names) if not around else (*around, *names[1:])
+        # the root of an included file is not an element of the model
+        within = *around, *names[bool(around) :]
         tags.append(Tag(file, name, attributes, within, start, _tag_end(text, start)))
         names.append(name)
 
@@ -138,7 +139,7 @@ def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path
         line = text.rfind(b"\n", 0, start) + 1
         before = bytes(text[line:start])
         between = b"\n" + before if not before.strip() else b" "
-        new = [*map(_comment, edit.comments), *([edit.element.encode()] if edit.element else [])]
+        new = filter(None, (*map(_comment, edit.comments), edit.element.encode()))
         said = b"".join(part + between for part in new)
         text[start:end] = said + _with_attributes(bytes(text[start:end]), edit.attributes)
     return {file: bytes(text) for file, text in texts.items()}
@@ -155,9 +156,8 @@ def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
         new = escape(value, {'"': "&quot;"}).encode()
         tag, count = known.subn(lambda m, new=new: m[1] + b'"' + new + b'"', tag, count=1)
         if not count:
-            end = len(tag) - (2 if tag.endswith(b"/>") else 1)
-            end = len(tag[:end].rstrip())
-            tag = tag[:end] + b" " + name.encode() + b'="' + new + b'"' + tag[end:]
+            bare = tag.removesuffix(b">").removesuffix(b"/").rstrip()
+            tag = bare + b" " + name.encode() + b'="' + new + b'"' + tag[len(bare) :]
     return tag
 
 

@@ -16,8 +16,6 @@ import numpy as np
 from ...common.errors import BadInput, cleaned
 from .document import Document, Tag
 
-_NUDGE = 1e-3  # rad or m: by which a joint is moved to see whether a tendon follows
-
 
 def mujoco_package() -> Any:
     """Import the `mujoco` package.
@@ -169,7 +167,7 @@ def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     before = np.array(data.ten_length)
-    data.qpos[model.jnt_qposadr[joint]] += _NUDGE
+    data.qpos[model.jnt_qposadr[joint]] += 1e-3
     mujoco.mj_forward(model, data)
     moved = [model.tendon(k).name for k in np.flatnonzero(np.abs(data.ten_length - before) > 1e-9)]
     if moved:
@@ -221,9 +219,9 @@ def _is_servo(mujoco: Any, model: Any, a: int, file: str) -> bool:
             return False
         if kind == int(mujoco.mjtBias.mjBIAS_AFFINE) and gain[0] > 0 and bias[1] == -gain[0]:
             return True
-    name = model.actuator(a).name
     raise BadInput(
-        f"{file}: actuator {name!r} is not a position servo or a motor, so its parameters cannot be separated"
+        f"{file}: actuator {model.actuator(a).name!r} is not a position servo or a motor, so its parameters cannot be "
+        "separated"
     )
 
 
@@ -232,13 +230,11 @@ def _filters(mujoco: Any) -> tuple[int, int]:
 
 
 def _joint_tag(document: Document, joint: str) -> Tag:
-    for tag in document.tags:
-        if tag.name == "joint" and "worldbody" in tag.path and tag.attributes.get("name") == joint:
-            return tag
-    raise BadInput(
-        f"{cleaned(document.main)}: joint {joint!r} is not written in any file (it is attached or replicated); give "
-        "the file that MuJoCo saves with mj_saveLastXML"
-    )
+    tags = [
+        tag for tag in document.tags
+        if tag.name == "joint" and "worldbody" in tag.path and tag.attributes.get("name") == joint
+    ]  # fmt: skip
+    return _first(tags, document, f"joint {joint!r} is not written in any file (it is attached or replicated)")
 
 
 def _actuator_tag(document: Document, joint: str, name: str, which: int) -> Tag:
@@ -247,14 +243,15 @@ def _actuator_tag(document: Document, joint: str, name: str, which: int) -> Tag:
         and joint in (tag.attributes.get("joint"), tag.attributes.get("jointinparent"))
     ]  # fmt: skip
     named = [tag for tag in of_joint if name and tag.attributes.get("name") == name]
-    if named or which < len(of_joint):
-        return named[0] if named else of_joint[which]
-    raise BadInput(
-        f"{cleaned(document.main)}: the actuator of joint {joint!r} is not written in any file; give the "
-        "file that MuJoCo saves with mj_saveLastXML"
-    )
+    return _first(named or of_joint[which:], document, f"the actuator of joint {joint!r} is not written in any file")
+
+
+def _first(tags: Sequence[Tag], document: Document, why: str) -> Tag:
+    if not tags:
+        raise BadInput(f"{cleaned(document.main)}: {why}; give the file that MuJoCo saves with mj_saveLastXML")
+    return tags[0]
 
 
 def _compiler(document: Document, attribute: str, default: str) -> str:
-    said = [t.attributes[attribute] for t in document.tags if t.name == "compiler" and attribute in t.attributes]
-    return said[-1] if said else default
+    said = [t.attributes.get(attribute) for t in document.tags if t.name == "compiler"]
+    return next(filter(None, reversed(said)), default)

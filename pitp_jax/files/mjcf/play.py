@@ -12,7 +12,7 @@ import numpy as np
 
 from ...method.signal.record import Record
 from .document import read_document
-from .joint import joint_of, load_model, mujoco_package
+from .joint import Joint, joint_of, load_model, mujoco_package
 
 _FIRST = 4  # samples that determine initial position and speed
 
@@ -31,13 +31,14 @@ def play(mjcf: str | Path, joint: str, records: Sequence[Record], actuator: str 
     Raises:
         BadInput: as `joint_of`.
     """
-    number, driver = joint_of(read_document(mjcf), joint, actuator).numbers
+    driven = joint_of(read_document(mjcf), joint, actuator)
     model = load_model(mjcf)
     mujoco = mujoco_package()
-    return [_played(mujoco, model, number, driver, record) for record in records]
+    return [_played(mujoco, model, driven, record) for record in records]
 
 
-def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) -> np.ndarray:
+def _played(mujoco: Any, model: Any, driven: Joint, record: Record) -> np.ndarray:
+    joint, actuator = driven.numbers
     place, dof = int(model.jnt_qposadr[joint]), int(model.jnt_dofadr[joint])
     step = float(model.opt.timestep)
     data = mujoco.MjData(model)
@@ -46,11 +47,11 @@ def _played(mujoco: Any, model: Any, joint: int, actuator: int, record: Record) 
     data.ctrl[actuator] = record.voltage[0]
     if (place_of_lag := int(model.actuator_actadr[actuator])) >= 0:  # the lag has settled on the first command
         data.act[place_of_lag] = record.voltage[0]
-    late = float(model.actuator_delay[actuator]) if hasattr(model, "actuator_delay") else 0.0
     position, speed = np.array(data.qpos), np.array(data.qvel)
-    for _ in range(math.ceil(late / step) + 1 if late else 0):  # the first command fills the actuator's history
-        mujoco.mj_step(model, data)
-        data.qpos[:], data.qvel[:] = position, speed
+    if driven.delay:  # the first command fills the actuator's history
+        for _ in range(math.ceil(driven.delay / step) + 1):
+            mujoco.mj_step(model, data)
+            data.qpos[:], data.qvel[:] = position, speed
     times = record.time - record.time[0]
     # 1e-6 of a step: rounding must not add a step, or repeat the command before
     count = math.ceil(times[-1] / step - 1e-6)

@@ -12,10 +12,8 @@ import math
 import numpy as np
 
 from ...common.numbers import number
-from .change import Change
+from .change import Change, interval
 from .joint import Joint
-
-_DISTANCES = 0.01, 0.1  # m: the longest whose inertia the armature still holds
 
 
 def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> tuple[Change, str, float] | None:
@@ -32,11 +30,14 @@ def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> 
     g = float(np.linalg.norm(joint.gravity))
     if not g > 0:
         return None
-    distance = float(np.clip(armature * g / abs(w), *_DISTANCES))
+    # m: the longest whose inertia the armature still holds
+    distance = float(np.clip(armature * g / abs(w), 0.01, 0.1))
     mass = abs(w) / g / distance
     place = np.array(joint.anchor) + math.copysign(distance, w) * np.array(joint.gravity) / g
-    between = "" if error is None else f" ({number(w - 1.96 * error)} to {number(w + 1.96 * error)})"
-    text = f"weight on the arm, m g l: {w:+.4g}{between} N m; the motion shows only the product of mass and distance"
+    text = (
+        f"weight on the arm, m g l: {w:+.4g}{interval(w, error)} N m; the motion shows only the product of mass and "
+        "distance"
+    )
     position, kilograms = " ".join(number(float(x), 6) for x in place), number(mass, 6)
     element = f'<body pos="{position}"><inertial pos="0 0 0" mass="{kilograms}" diaginertia="1e-9 1e-9 1e-9"/></body>'
     remaining = max(armature - mass * distance**2, 0.0)

@@ -28,7 +28,6 @@ from .document import Document, Edit, assets, edited, read_document
 from .joint import Joint, joint_of, load_model, mujoco_package
 
 _SUFFIX = "_identified"
-_APART = 0.1  # fraction by which the inertia of recordings and file may differ before a remark
 
 
 @dataclass(frozen=True)
@@ -115,14 +114,14 @@ def _remarks(records: Sequence[Record], simulator: np.ndarray, it: Joint) -> lis
     """Write remarks if the recordings disagree with the file in inertia or unit."""
     said = []
     seen = it.torque_per_command * simulator[2] if len(simulator) > 2 else math.nan
-    if abs(seen - it.inertia) > _APART * it.inertia:
+    if abs(seen - it.inertia) > 0.1 * it.inertia:
         said.append(
             f"the simulator's recordings have an inertia of {number(seen)}, the file {number(it.inertia)}. Check that "
             "they were made with this file and this joint"
         )
-    unit = base_unit(records[0].displacement_unit)
-    if unit != ("rad" if it.hinge else "m"):
-        said.append(f"the recordings are in {unit}, MuJoCo uses {'rad' if it.hinge else 'm'}; give --output-unit")
+    unit, ours = base_unit(records[0].displacement_unit), "rad" if it.hinge else "m"
+    if unit != ours:
+        said.append(f"the recordings are in {unit}, MuJoCo uses {ours}; give --output-unit")
     return said
 
 
@@ -143,8 +142,9 @@ def _known_to_mujoco(it: Joint, changes: list[Change]) -> tuple[list[Change], li
 
 def _attribute_exists(mujoco: Any, element: str, attribute: str) -> bool:
     """Return whether the installed MuJoCo knows an attribute, tested by compiling a small model."""
-    body = f'<{element} joint="q" {attribute}="x"/>' if element != "joint" else f'<joint name="r" {attribute}="x"/>'
-    inside, driven = (body, "") if element == "joint" else ("", f"<actuator>{body}</actuator>")
+    inside, driven = "", f'<actuator><{element} joint="q" {attribute}="x"/></actuator>'
+    if element == "joint":
+        inside, driven = f'<joint name="r" {attribute}="x"/>', ""
     text = f'<mujoco><worldbody><body><joint name="q"/>{inside}<geom size="1"/></body></worldbody>{driven}</mujoco>'
     try:
         mujoco.MjModel.from_xml_string(text)

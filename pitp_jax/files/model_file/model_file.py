@@ -133,8 +133,8 @@ def load(path: str | os.PathLike, *, encoder: eqx.Module | None = None) -> Fitte
         try:
             body = _checked_bytes(Path(path))
             # latin-1 has a character for every byte, so `end` is also a place in the bytes; the JSON itself is ASCII
-            text, end = json.JSONDecoder(parse_constant=_refuse).raw_decode(body.decode("latin-1"))
-            header = decode(text)
+            reader = json.JSONDecoder(object_hook=decode, parse_constant=_refuse)
+            header, end = reader.raw_decode(body.decode("latin-1"))
             refuse(header_problems(header))  # before any part is built from it
             model = _filled(_skeleton(header, encoder), header["leaves"], memoryview(body)[end + 1 :])
             return Fitted(model, origin_of(header))

@@ -243,11 +243,16 @@ def _table(stored: dict, name: str) -> Table:
 
 def _without_control(value: Any) -> Any:
     """Remove control characters from every text in a value, including the keys of dicts."""
+    return _each(lambda one: cleaned(one) if isinstance(one, str) else one, value)
+
+
+def _each(change: Callable[[Any], Any], value: Any) -> Any:
+    """Apply a change to every key and entry of a nested value; tuples become lists."""
     if isinstance(value, dict):
-        return {cleaned(key): _without_control(entry) for key, entry in value.items()}
+        return {change(key): _each(change, entry) for key, entry in value.items()}
     if isinstance(value, (list, tuple)):
-        return [_without_control(entry) for entry in value]
-    return cleaned(value) if isinstance(value, str) else value
+        return [_each(change, entry) for entry in value]
+    return change(value)
 
 
 def _encoder(described: dict, own: Any) -> Any:
@@ -287,17 +292,10 @@ def build(header: dict, own: Any = None) -> Model:
 
 def encode(value: Any) -> Any:
     """Convert a value for JSON: a float that is not finite becomes {"float": "inf"}, a tuple becomes a list."""
-    if isinstance(value, dict):
-        return {k: encode(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [encode(v) for v in value]
-    return {"float": str(value)} if isinstance(value, float) and not math.isfinite(value) else value
+    return _each(lambda v: {"float": str(v)} if isinstance(v, float) and not math.isfinite(v) else v, value)
 
 
-def decode(value: Any) -> Any:
-    """Convert values back that `encode` converted; tuples stay lists."""
-    if isinstance(value, dict):
-        if value.keys() == {"float"} and value["float"] in ("inf", "-inf", "nan"):
-            return float(value["float"])
-        return {k: decode(v) for k, v in value.items()}
-    return [decode(v) for v in value] if isinstance(value, list) else value
+def decode(entry: dict[str, Any]) -> Any:
+    """Convert a dict of JSON back to the float that `encode` converted; any other dict stays as it is."""
+    infinite = entry.keys() == {"float"} and entry["float"] in ("inf", "-inf", "nan")
+    return float(entry["float"]) if infinite else entry

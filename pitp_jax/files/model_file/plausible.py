@@ -13,8 +13,6 @@ from ...common.units import INPUT_UNITS, OUTPUT_UNITS
 # far above any model, because a damaged size would allocate all memory
 _LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
 _LARGEST_SIZE = 4096  # of any other kind: no part is near this
-_WORDS = ("name", "of", "module")  # of a part; an adapted encoder is one of another
-_EFFECTS, _LEAVES = 64, 4096  # of a model; arrays of a file
 
 
 def header_problems(header: dict) -> list[str]:
@@ -30,8 +28,8 @@ def header_problems(header: dict) -> list[str]:
         f"order {header['order']!r}": 1 <= header["order"] <= _LARGEST["order"],
         f"hold {header['hold']!r}": header["hold"] in ("foh", "zoh", "bandlimited"),
         f"substeps {header['substeps']!r}": 1 <= header["substeps"] <= _LARGEST_SIZE,
-        f"{len(header['effects'])} effects": len(header["effects"]) <= _EFFECTS,
-        f"{len(header['leaves'])} arrays": len(header["leaves"]) <= _LEAVES,
+        f"{len(header['effects'])} effects": len(header["effects"]) <= 64,
+        f"{len(header['leaves'])} arrays": len(header["leaves"]) <= _LARGEST_SIZE,
         f"dt {domain['dt']!r}": _positive(domain["dt"]),
         f"scales of the state {scales['state']!r}": bool(scales["state"]) and all(map(_positive, scales["state"])),
         f"scale of the force {scales['force']!r}": _positive(scales["force"]),
@@ -51,7 +49,9 @@ def header_problems(header: dict) -> list[str]:
         for key, value in part.items():
             # True is an int in Python and would be a size of 1
             most = _LARGEST.get(key, _LARGEST_SIZE if isinstance(value, int) else math.inf)
-            fits = key in _WORDS or (type(value) in (int, float) and math.isfinite(value) and 0 <= value <= most)
+            good = type(value) in (int, float) and math.isfinite(value) and 0 <= value <= most
+            # an adapted encoder is one `of` another
+            fits = good or key in ("name", "of", "module")
             checks[f"{part['name']}: {key} {value!r}"] = fits and not (key == "horizon" and value == 0)
     long = header.get("long_record")
     if long is not None:
