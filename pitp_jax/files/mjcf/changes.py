@@ -33,6 +33,7 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
     Returns:
         changes, the parameters that the file cannot hold, and the element to insert before the joint, or "".
     """
+    # a parameter that the recordings do not determine keeps the value of the file
     determined = {p.name: p for p in table if p.determined}
     rows = {name: p for name, p in determined.items() if _is_known(p)}
     f = joint.torque_per_command
@@ -44,6 +45,7 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
         ("inertia", "armature", "kg m^2"), ("damping", "damping", "N m s/rad"), ("stiffness", "stiffness", "N m/rad"),
         ("coulomb_friction level", "frictionloss", "N m"),
     ):  # fmt: skip
+        # a changed gain changes every torque, so that parameters equal in the command's unit are written too
         row = (rows if k == 1.0 else determined).get(name)
         if row is None:
             continue
@@ -51,6 +53,7 @@ def changes_of(joint: Joint, table: Sequence[Parameter]) -> tuple[list[Change], 
         if name == "stiffness" and joint.position:  # the controller's own spring, kp g^2, grew with the gain
             difference = f * k * (row.robot - row.simulator)
         error = row.stderr and f * k * row.stderr
+        # with another gain the difference in SI may vanish
         if error is not None and abs(difference) < 2 * error:
             continue
         old = getattr(joint, attribute)
@@ -82,6 +85,7 @@ def _with_weight(
     changed = next((c for c in changes if c.attribute == "armature"), None)
     armature = joint.armature if changed is None else float(changed.new)
     error = row.stderr and f * k * row.stderr
+    # the inertia of the weight is subtracted from the armature that the other changes give
     hung = add_weight(joint, f * (k * row.robot - row.simulator), error, armature)
     if hung is None:
         return changes, ""
@@ -108,10 +112,12 @@ def _gain_factor(joint: Joint, all_rows: Mapping[str, Parameter], moved: Mapping
         return 1.0, ""
     ratio, factor = inertia.robot / inertia.simulator, None
     if damping is not None and damping.simulator > 0 and damping.robot > 0:
+        # relative errors of the two ratios, which must agree for one factor
         error = math.hypot(*((p.stderr or 0.0) / p.robot for p in (inertia, damping)))
         factor = gain_factor((ratio, damping.robot / damping.simulator), error)
     if factor is not None:
         return factor, f"or inertia and damping x {number(1 / factor)} each"
+    # an armature cannot be negative, so the links alone would be too heavy
     impossible = joint.armature + joint.torque_per_command * inertia.difference < 0
     return (1 / ratio if impossible else 1.0), ""
 
@@ -124,6 +130,7 @@ def _gain(joint: Joint, k: float, beside: str) -> list[Change]:
         return [Change("actuator", "gear", number(joint.gear), gear,
                        f"gear: {number(joint.gear)} -> {number(joint.gear * k)} (x {number(k)}{note})")]  # fmt: skip
     text = f"kp: {number(joint.kp)} -> {number(joint.kp * k)} (x {number(k)}{note})"
+    # <general> writes a servo as a gain kp and a bias 0 -kp -kv
     if joint.actuator_tag.name == "general":
         gain = _with_first(old_attributes.get("gainprm", "1"), joint.kp * k)
         bias = f"0 {number(-joint.kp * k, 6)} {number(-joint.kv, 6)}"
@@ -159,11 +166,13 @@ def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> 
     if (row := rows.get("delay time")) is not None:
         new = max(joint.delay + row.difference, 0.0)
         changes.append(_moved("actuator", "delay", joint.delay, new, row.stderr, "s"))
+        # MuJoCo keeps so many past commands
         changes.append(Change("actuator", "nsample", "", str(math.ceil(new / joint.timestep) + 1), ""))
     row = rows.get("electrode_rc tau") or rows.get("sensor_lag tau")
     if row is not None and (attribute := _lag_attribute(joint)):
         new = max(joint.lag + row.difference, 0.0)
         changes.append(_moved("actuator", attribute, joint.lag, new, row.stderr, "s"))
+        # `dynprm` is a time constant only with a filter
         if attribute == "dynprm":
             changes.append(Change("actuator", "dyntype", "", "filterexact", ""))
     for name, attribute, scale in (
@@ -179,12 +188,14 @@ def _of_actuator(joint: Joint, rows: Mapping[str, Parameter], torque: float) -> 
 
 def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
     both = rows.get("end_stop place")
+    # a stop that was not separated by side lies at the same distance on both
     above, below = rows.get("end_stop place, above") or both, rows.get("end_stop place, below") or both
     if above is None and below is None:
         return []
     low, high = joint.limits or (-_TURN, _TURN)
     low = -abs(below.robot) if below else low
     high = above.robot if above else high
+    # <compiler angle> applies to hinges only
     unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
     new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
     old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)

@@ -133,9 +133,11 @@ def edited(document: Document, edits: Sequence[Edit], heading: str) -> dict[Path
     places = [(e.tag.start, e.tag.end, e.tag.file, e) for e in edits] + [(root.end, root.end, root.file, None)]
     for start, end, file, edit in sorted(places, key=lambda place: place[0], reverse=True):  # backwards: places stay
         text = texts[file]
+        # the heading has no tag of its own
         if edit is None:
             text[end:end] = b"\n" + _comment(heading)
             continue
+        # comments take the indentation of the tag, or its line if something stands before it
         line = text.rfind(b"\n", 0, start) + 1
         before = bytes(text[line:start])
         between = b"\n" + before if not before.strip() else b" "
@@ -152,6 +154,7 @@ def _comment(text: str) -> bytes:
 def _with_attributes(tag: bytes, attributes: Mapping[str, str]) -> bytes:
     """Set attributes in the bytes of an XML tag; existing values are replaced, new attributes come last."""
     for name, value in attributes.items():
+        # a value in double or in single quotes
         known = re.compile(rb"(\s" + name.encode() + rb"""\s*=\s*)("[^"]*"|'[^']*')""")
         new = escape(value, {'"': "&quot;"}).encode()
         tag, count = known.subn(lambda m, new=new: m[1] + b'"' + new + b'"', tag, count=1)
@@ -170,6 +173,7 @@ def assets(document: Document) -> list[Path]:
     said = {key: value for attributes in compilers for key, value in attributes.items()}
     files = []
     for tag in document.tags:
+        # a folder for this kind of file, otherwise the one for all
         if (name := tag.attributes.get("file")) and tag.name in _ASSETS:
             place = Path(said.get(_ASSETS[tag.name]) or said.get("assetdir", "")) / name
             if not place.is_absolute() and ".." not in place.parts and (document.main.parent / place).is_file():

@@ -49,6 +49,7 @@ def _isaac(joint: Joint) -> str:
 
 
 def _identifier(name: str) -> str:
+    # names of joints may hold slashes, and start with a digit
     made = "".join(c if c.isalnum() else "_" for c in name)
     return made if made.isidentifier() else f"joint_{made}"
 

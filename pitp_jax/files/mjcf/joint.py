@@ -124,6 +124,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     position = _is_servo(mujoco, model, a, file)
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
+    # a column of the mass matrix: the inertia that the joint moves, with its armature
     unit, column = np.zeros(model.nv), np.zeros(model.nv)
     unit[dof] = 1.0
     mujoco.mj_mulM(model, data, column, unit)
@@ -155,6 +156,7 @@ def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
     data = mujoco.MjData(model)
     data.qpos[model.jnt_qposadr[joint]] = 0.0
     mujoco.mj_forward(model, data)
+    # gravity along the axis does not turn the joint
     g, axis = np.array(model.opt.gravity), np.array(data.xaxis[joint])
     frame = np.array(data.xmat[model.jnt_bodyid[joint]]).reshape(3, 3)
     return tuple(map(float, frame.T @ (g - axis * (g @ axis))))
@@ -167,6 +169,7 @@ def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
     before = np.array(data.ten_length)
+    # rad or m: a tendon that follows changes its length
     data.qpos[model.jnt_qposadr[joint]] += 1e-3
     mujoco.mj_forward(model, data)
     moved = [model.tendon(k).name for k in np.flatnonzero(np.abs(data.ten_length - before) > 1e-9)]
@@ -180,6 +183,7 @@ def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
 
 def _effort(model: Any, a: int) -> float | None:
     low, high = (float(end) for end in model.actuator_forcerange[a])
+    # one number describes only a symmetric limit
     limited = bool(model.actuator_forcelimited[a]) and low == -high
     return high * abs(float(model.actuator_gear[a][0])) if limited else None
 
@@ -217,6 +221,7 @@ def _is_servo(mujoco: Any, model: Any, a: int, file: str) -> bool:
     if int(model.actuator_gaintype[a]) == int(mujoco.mjtGain.mjGAIN_FIXED) and plain:
         if kind == int(mujoco.mjtBias.mjBIAS_NONE):
             return False
+        # kp (c - q) - kv q' is a gain of kp and a bias of -kp q - kv q'
         if kind == int(mujoco.mjtBias.mjBIAS_AFFINE) and gain[0] > 0 and bias[1] == -gain[0]:
             return True
     raise BadInput(

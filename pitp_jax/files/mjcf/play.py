@@ -74,10 +74,12 @@ def first_state(record: Record) -> tuple[float, float]:
     The noise is that of third differences, s^2 = mean (d^3 y)^2 / 20, which no smooth motion has.
     """
     y = record.displacement[: 16 * _FIRST]
+    # a smooth motion has almost no third differences
     third = np.diff(y, 3)
     noise = math.sqrt(float(np.nanmean(third**2)) / 20) if np.isfinite(third).any() else 0.0
     t, y = (record.time - record.time[0])[:_FIRST], y[:_FIRST]
     if not np.all(np.isfinite(y)):
+        # a position without a speed, where the first samples are missing
         return float(np.nanmedian(record.displacement[: 16 * _FIRST])), 0.0
     slope, start = np.polyfit(t, y, 1)
     if abs(slope) <= 3 * noise / math.sqrt(float(np.sum((t - t.mean()) ** 2))):

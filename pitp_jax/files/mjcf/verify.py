@@ -73,6 +73,7 @@ class Verification:
         None without a file to compare with.
         """
         runs = [p for p in self.played if p.held_out] or list(self.played)
+        # gains of blocks, relative to the range: their spread gives the standard error of the mean
         gains = []
         for p in runs:
             if p.before is None:
@@ -82,6 +83,7 @@ class Verification:
             gains += [
                 float(np.nanmean(block)) / scale**2 for block in np.array_split(gain, 8) if np.isfinite(block).any()
             ]
+        # a simulation that diverged from the start has no gain to compare
         if not all(np.isfinite(p.after).any() for p in runs):
             return False
         return bool(np.mean(gains) > 2 * np.std(gains, ddof=1) / np.sqrt(len(gains)))
@@ -146,6 +148,7 @@ def verify_mjcf(
         (2.88, True)
     """
     check_records([*records, *held_out])
+    # `write_numbers` lists the recordings of the diagnosis at the top of the file
     text = Path(mjcf).read_text(encoding="utf-8", errors="replace") if Path(mjcf).is_file() else ""
     for record, one in zip(held_out, sums(held_out), strict=True):
         if one["sha256"] in text:

@@ -32,6 +32,7 @@ def add_weight(joint: Joint, w: float, error: float | None, armature: float) -> 
         return None
     # m: the longest whose inertia the armature still holds
     distance = float(np.clip(armature * g / abs(w), 0.01, 0.1))
+    # a longer arm has more inertia at the same m g l
     mass = abs(w) / g / distance
     place = np.array(joint.anchor) + math.copysign(distance, w) * np.array(joint.gravity) / g
     text = (

@@ -85,6 +85,7 @@ def write_numbers(
     changes, unknown = _known_to_mujoco(it, changes)
     remarks = _remarks(records, simulator, it)
     edits = []
+    # one edit for each tag, because two edits of one tag would overlap
     for of, inserted in (("joint", element), ("actuator", "")):
         group = [c for c in changes if c.element == of or (inserted and c.element == "body")]
         if group:
@@ -92,6 +93,7 @@ def write_numbers(
             edits.append(Edit(tag_of(it, group[0]), attributes, [c.text for c in group if c.text], inserted))
     texts = edited(document, edits, _heading(records, document))
     target = _write_all(document, texts, Path(out))
+    # as MuJoCo reads the new file, with all defaults
     after = joint_of(read_document(target), joint, actuator)
     for name, text in elsewhere.texts(after).items():
         write_text_atomic(target.parent / name, text)
@@ -170,6 +172,7 @@ def _write_all(document: Document, texts: dict[Path, bytes], out: Path) -> Path:
             name = Path(target.name) if file == main else _within(file, folder)
             (Path(kept) / name).parent.mkdir(parents=True, exist_ok=True)
             (Path(kept) / name).write_bytes(text)
+        # MuJoCo compiles the copy before anything is written beside the user's files
         load_model(Path(kept) / target.name)
         for source in sorted(p for p in Path(kept).rglob("*") if p.is_file()):
             place = target.parent / source.relative_to(kept)

@@ -166,6 +166,7 @@ def _checked_bytes(path: Path) -> bytes:
 
 
 def _check_version(begin: bytes) -> None:
+    # without a line end, the first bytes only resemble a model file
     line, end, _ = begin.partition(b"\n")
     version = line.removeprefix(_MAGIC)
     if not line.startswith(_MAGIC) or not end or not version.isdigit():

@@ -99,6 +99,7 @@ ENCODERS = {
 
 def _adapted_sizes(encoder: AdaptedEncoder) -> dict:
     """Return the inner encoder's name and sizes with those of the adaptation, in one flat dict."""
+    # `name` is the adaptation's own, so the inner encoder's stands under `of`
     inner = _named(ENCODERS, encoder.inner)
     return {"lags": len(encoder.creep), "of": inner.pop("name"), **inner}
 
@@ -257,6 +258,7 @@ def _each(change: Callable[[Any], Any], value: Any) -> Any:
 
 def _encoder(described: dict, own: Any) -> Any:
     """Build an encoder from its description; `own`: the user's module, if the model has one."""
+    # only the name of the user's class is in the file, never its code
     settings = dict(described)
     module = settings.pop("module", None)
     if module is not None and own is None:
