@@ -38,7 +38,7 @@ def by_projection(record, near: np.ndarray) -> np.ndarray:
     """The package's fit from the same start: gain and rest position are solved for at every pair of poles."""
     problem = build_problem([record], "square", [Beginning("rest", 1.0, 0.0, np.inf, free=True)])
     structure = Structure(2)
-    params, *_ = least_squares(logs_from_roots(np.roots((near * START)[::-1])), structure, problem)
+    params = least_squares(logs_from_roots(np.roots((near * START)[::-1])), structure, problem).params
     residual = OutputError(params, structure, problem).solved.residuals[0]
     return record.displacement - problem.scale * residual
 

@@ -99,9 +99,9 @@ def _first_poles(small: Sequence[Record]) -> tuple[float, tuple[np.ndarray, floa
 
 def _fitted(start: np.ndarray, problem: Problem) -> tuple[float, tuple[np.ndarray, float]] | None:
     """Fit a second-order model; return mean square residual, log pole coefficients (rad/s), gain (m per V^2 or V)."""
-    logs, cost, _ = least_squares(start, _STRUCTURE, problem)
-    gain = float(OutputError(logs, _STRUCTURE, problem).solved.gains[0]) * problem.scale
-    return (cost, (logs, gain)) if np.isfinite(cost) else None
+    fit = least_squares(start, _STRUCTURE, problem)
+    gain = float(OutputError(fit.params, _STRUCTURE, problem).solved.gains[0]) * problem.scale
+    return (fit.cost, (fit.params, gain)) if np.isfinite(fit.cost) else None
 
 
 def _directed(logs: np.ndarray, problem: Problem) -> Problem:

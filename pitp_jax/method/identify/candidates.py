@@ -20,7 +20,7 @@ from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
 from .linear_ode import logs_from_roots
 from .order_fit import identifiable
-from .output_error import OutputError, Problem, Structure, least_squares
+from .output_error import Fit, OutputError, Problem, Structure, least_squares
 from .rational_fit import fit_rational
 from .starts import best_starts, guesses, one_more
 
@@ -30,8 +30,6 @@ _ALWAYS = 3  # orders that are always tried; then one more, because a mode is tw
 _NO_WORSE = 1.001  # an order contains every lower one, so a higher cost means that the search stopped early
 HALF = 0.5  # fraction of the output's deviation; as a cost, a fraction of the residual's mean square
 _DELAY = 0.05  # samples: a shorter delay counts as none; a delay also starts here, because 0 has no slope
-
-Ending = tuple[np.ndarray, float, bool]  # parameters, cost, converged
 
 
 def search(
@@ -54,7 +52,7 @@ def search(
         for delayed in delays:
             if here and order > _ALWAYS and not here[0].known:
                 break  # if the poles are unknown without a delay, they are unknown with one
-            ends: list[tuple[Structure, Ending]] = []
+            ends: list[Fit] = []
             for hold in holds:
                 if ends and delayed and problem.fine < problem.dt:
                     break  # of block means, holds differ by half a sample of delay
@@ -63,17 +61,17 @@ def search(
                     end = _short(_under(hold, ends[0], problem), structure, problem)
                 else:
                     end = _fitted(structure, problem, by_response, roots, candidates + here)
-                ends += [(structure, end)] if np.isfinite(end[1]) else []
+                if np.isfinite(end.cost):
+                    ends.append(end)
             if not ends:
                 continue
-            structure, end = min(ends, key=lambda e: e[1][1])
-            if delayed and np.exp(end[0][-1]) <= _DELAY * problem.fine:
+            end = _best(ends)
+            if delayed and np.exp(end.params[-1]) <= _DELAY * problem.fine:
                 # no delay, but a start that the order without one did not have
-                if not here or end[1] * _NO_WORSE >= here[0].cost:
+                if not here or end.cost * _NO_WORSE >= here[0].cost:
                     continue
-                structure = here.pop().structure
-                end = _short(end[0][:-1], structure, problem)
-            here.append(_scored(structure, end, problem))
+                end = _short(end.params[:-1], here.pop().structure, problem)
+            here.append(_scored(end, problem))
         if not here:
             continue
         candidates += here
@@ -92,22 +90,26 @@ def without_spring(candidates: Sequence[Candidate], problem: Problem, holds: Seq
             continue
         rest = np.delete(known, slowest)
         rest = np.where(np.isclose(rest, np.conj(known[slowest])), -np.abs(rest), rest)  # half of a pair is real
-        ends: list[tuple[Structure, Ending]] = []
+        ends: list[Fit] = []
         for hold in holds:
             structure = replace(c.structure, integrates=True, hold=hold)
             roots = [rest, *(guesses(structure.moved, problem) if structure.moved else [])]
             starts = best_starts(structure, problem, [] if ends else roots, most=2)
             starts += [_under(hold, end, problem) for end in ends]
-            ends += [(structure, _short(start, structure, problem)) for start in starts]
-        found += [_scored(*min(ends, key=lambda e: e[1][1]), problem)] if ends else []
+            ends += [_short(start, structure, problem) for start in starts]
+        if ends:
+            found.append(_scored(_best(ends), problem))
     return found
 
 
-def _scored(structure: Structure, end: Ending, problem: Problem) -> Candidate:
-    params, cost, converged = end
+def _best(ends: Sequence[Fit]) -> Fit:
+    return min(ends, key=lambda end: end.cost)
+
+
+def _scored(end: Fit, problem: Problem) -> Candidate:
+    error = OutputError(end.params, end.structure, problem)
     with np.errstate(all="ignore"):
-        return Candidate(structure, params, cost, converged, held_out(params, structure, problem),
-                         identifiable(OutputError(params, structure, problem), converged))  # fmt: skip
+        return Candidate(*end, held_out(end.params, end.structure, problem), known=identifiable(error, end.converged))
 
 
 def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
@@ -125,16 +127,16 @@ def _worth_trying(order: int, earlier: Sequence[Candidate]) -> bool:
     return unexplained or best.structure.order >= order - 1 - first or costs[1] < HALF * costs[0]
 
 
-def _under(hold: Hold, other: tuple[Structure, Ending], problem: Problem) -> np.ndarray:
+def _under(hold: Hold, other: Fit, problem: Problem) -> np.ndarray:
     """Return initial parameters from a fit with another hold of the input; a delay shifts by half a sample."""
-    structure, (params, _, _) = other
+    structure, params = other.structure, other.params
     if structure.delayed and hold != structure.hold:
         moved = (0.5 if structure.hold == "zoh" else -0.5) * problem.fine
         params = np.append(params[:-1], np.log(max(np.exp(params[-1]) + moved, _DELAY * problem.fine)))
     return params
 
 
-def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier: Sequence[Candidate]) -> Ending:
+def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier: Sequence[Candidate]) -> Fit:
     """Fit one candidate from the frequency response, and from more initial guesses if a simpler model fits better."""
     order, delayed = structure.order, structure.delayed
     known = {(c.structure.order, c.structure.delayed): c for c in earlier}
@@ -143,7 +145,7 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
     if lower is None and order > 1 and len(problem.drive) > 1:
         bound = -np.inf  # asked for alone: the lines of several sines together look like a sweep
 
-    def fitted(starts) -> list[Ending]:
+    def fitted(starts) -> list[Fit]:
         return [_short(start, structure, problem) for start in starts]
 
     ends, nested = fitted(by_response(order, delayed)), []
@@ -151,11 +153,11 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
         nested.append(np.append(prompt.params, np.log(_DELAY * problem.fine)))
     if lower is not None:
         nested += best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
-    if ends and not _settled(ends, bound, structure, problem):
+    if ends and not _settled(ends, bound, problem):
         ends, nested = ends + fitted(nested), []
-    if not ends or not _settled(ends, bound, structure, problem):
+    if not ends or not _settled(ends, bound, problem):
         ends += fitted(best_starts(structure, problem, roots(order), most=2) + nested)
-    return min(ends, key=lambda e: e[1], default=(np.zeros(0), np.inf, False))
+    return _best([*ends, Fit(structure, np.zeros(0), np.inf, False)])
 
 
 def _by_response(order: int, delayed: bool, problem: Problem, response: FrequencyResponse) -> list[np.ndarray]:
@@ -166,16 +168,16 @@ def _by_response(order: int, delayed: bool, problem: Problem, response: Frequenc
     return [np.append(logs_from_roots(found.poles), [np.log(max(found.delay, _DELAY * problem.fine))] * delayed)]
 
 
-def _settled(ends: Sequence[Ending], bound: float, structure: Structure, problem: Problem) -> bool:
+def _settled(ends: Sequence[Fit], bound: float, problem: Problem) -> bool:
     """Return whether more initial guesses are unnecessary: the fit is good, was found twice, or has no delay."""
-    params, least, _ = min(ends, key=lambda e: e[1])
+    structure, params, least, _ = _best(ends)
     # two fits that differ by less found the same minimum
-    again = sum(e[1] <= (1 + 1e-4) * least for e in ends) > 1
+    again = sum(end.cost <= (1 + 1e-4) * least for end in ends) > 1
     none = structure.delayed and np.exp(params[-1]) <= _DELAY * problem.fine
     return bool(np.isfinite(least) and bound > 0 and (least <= bound or again or none))
 
 
-def _short(start: np.ndarray, structure: Structure, problem: Problem) -> Ending:
+def _short(start: np.ndarray, structure: Structure, problem: Problem) -> Fit:
     return least_squares(start, structure, problem, 40, 1e-5)  # the chosen fit is continued
 
 

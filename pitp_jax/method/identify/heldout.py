@@ -82,7 +82,7 @@ def held_out(params: np.ndarray, structure: Structure, problem: Problem) -> Held
         numbers = [np.repeat(np.arange(3 * _FOLDS) - k - fold, np.diff(e)) for k, e in enumerate(edges)]
         rest = masked(problem, [n % _FOLDS > 0 for n in numbers])
         # start from the fit of all samples; a few steps undo the influence of the third left out
-        error_of_rest = OutputError(least_squares(params, structure, rest, 4, 1e-3)[0], structure, rest)
+        error_of_rest = OutputError(least_squares(params, structure, rest, 4, 1e-3).params, structure, rest)
         solved, (free, rings) = error_of_rest.solved, error_of_rest.free
         for k, e in enumerate(edges):
             # a real mode's free response is drift or creep and continues; a ringing mode gets no credit

@@ -43,12 +43,11 @@ from .frequency_response import UNKNOWN_RESPONSE, FrequencyResponse, frequency_r
 from .heldout import Candidate, out_of_fold
 from .numerator import needed_zeros
 from .order_fit import OrderFit, covariance, describe, zero_of
-from .output_error import OutputError, Problem, build_problem, check_motion, least_squares
+from .output_error import Fit, OutputError, Problem, build_problem, check_motion, least_squares
 from .remarks import UNSTABLE, refusal, remarks, unstable_line
 from .residual_test import ResidualTest, residual_test
 
 _HOLDS: tuple[Hold, ...] = ("foh", "zoh")
-_BANDLIMITED = 0.997  # largest error relative to the other holds: a wrong choice costs little
 _BEGIN = {"rest": "at rest", "held": "settled at a held drive", "moving": "in motion"}
 _NONE = (
     "no order from 1 to 6 can be identified from these recordings; record a sweep through the resonance, or check "
@@ -348,17 +347,17 @@ def _determined(
 
 def _refined(chosen: Candidate, problem: Problem, holds: Sequence[Hold], *, bandlimited: bool) -> Candidate:
     """Refit a candidate on all samples under each possible hold of the input; return the fit with the least error."""
-    ends = []
-    for hold in [*holds, *(["bandlimited"] if bandlimited else [])]:
-        structure = replace(chosen.structure, hold=hold)
-        if hold == "bandlimited" and bandlimited:  # four times as expensive: it must lead after one step
-            first = least_squares(chosen.params, structure, problem, 2)[1]
-            if first > min(worth for worth, _ in ends):
-                continue
-        params, cost, converged = least_squares(chosen.params, structure, problem)
-        worth = cost / _BANDLIMITED**2 if hold == "bandlimited" and bandlimited else cost
-        ends.append((worth, replace(chosen, structure=structure, params=params, cost=cost, converged=converged)))
-    return min(ends, key=lambda e: e[0])[1]
+
+    def fitted(hold: Hold, *steps: int) -> Fit:
+        return least_squares(chosen.params, replace(chosen.structure, hold=hold), problem, *steps)
+
+    best = min(map(fitted, holds), key=lambda fit: fit.cost)
+    # four times as expensive: it must lead after one step, and then clearly, although a wrong choice costs little
+    if bandlimited and fitted("bandlimited", 2).cost <= best.cost:
+        other = fitted("bandlimited")
+        if other.cost < 0.997**2 * best.cost:
+            best = other
+    return replace(chosen, **best._asdict())
 
 
 def _coloured(

@@ -14,6 +14,7 @@ rms.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Complex, Float, Int
@@ -352,10 +353,19 @@ def inverse(gram: np.ndarray) -> np.ndarray:
     return (vectors / np.maximum(values, 1e-14)) @ vectors.T / np.outer(root, root)
 
 
+class Fit(NamedTuple):
+    """A fit of one structure: its parameters, mean square residual (output = 1), and whether it converged."""
+
+    structure: Structure
+    params: np.ndarray
+    cost: float
+    converged: bool
+
+
 def least_squares(
     params: np.ndarray, structure: Structure, problem: Problem, most: int = 60, least: float = 1e-9
-) -> tuple[np.ndarray, float, bool]:
-    """Fit the output error from initial parameters; return parameters, mean square residual, and convergence."""
+) -> Fit:
+    """Fit the output error from initial parameters."""
     upper = problem.upper(structure)
     n = structure.moved
     params = np.append(bounded(params[:n], 0.0, 0.99 * FASTEST / problem.fine), params[n:])
@@ -364,7 +374,7 @@ def least_squares(
     )
     # a pole below 0.01 rad a record cannot be told from an integrator, and would drift to zero
     params = np.append(bounded(params[:n], 0.01 / problem.seconds, np.inf), params[n:])
-    return params, OutputError(params, structure, problem).cost / problem.samples, converged
+    return Fit(structure, params, OutputError(params, structure, problem).cost / problem.samples, converged)
 
 
 def masked(problem: Problem, keep: Sequence[np.ndarray]) -> Problem:
