@@ -125,7 +125,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     problem, whole = Problem(here, factors, seen, level), np.ones_like(seen.half)
     given = problem.at(np.zeros(len(factors.names)), whole)
     full = problem.fit(np.eye(len(factors.names)), whole, factors.prior, first=problem.guess())
-    own = level if np.isinf(fitted.origin.misfit) else level * np.sqrt(1 - 1 / fitted.origin.misfit**2)
+    own = level * np.sqrt(1 - 1 / fitted.origin.misfit**2)
     spread = covariance(full.residual, full.jacobian, _model_error(full, seen, own))
     known = fitted.origin.covariance  # of the logarithms of the coefficients, which come first
     spread[: len(known), : len(known)] += known

@@ -94,8 +94,7 @@ def without_spring(candidates: Sequence[Candidate], problem: Problem, holds: Seq
         for hold in holds:
             structure = replace(c.structure, integrates=True, hold=hold)
             roots = [rest, *(guesses(structure.moved, problem) if structure.moved else [])]
-            starts = best_starts(structure, problem, [] if ends else roots, most=2)
-            starts += [_under(hold, end, problem) for end in ends]
+            starts = [_under(hold, end, problem) for end in ends] or best_starts(structure, problem, roots, most=2)
             ends += [_short(start, structure, problem) for start in starts]
         if ends:
             found.append(_scored(_best(ends), problem))

@@ -306,9 +306,10 @@ class OutputError:
             if n:
                 slopes = slopes + self._own_slopes(self.free[0][k], sizes)
             rows = self._linear(k, run[0], slopes)
-            columns, rest = rows[:n], rows[n:]
-            # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
-            projected.append(rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns if n else rest)
+            if n:  # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
+                columns, rest = rows[:n], rows[n:]
+                rows = rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns
+            projected.append(rows)
         return solved, projected
 
     @property

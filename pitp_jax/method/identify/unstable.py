@@ -36,8 +36,8 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
             # a pole above the input's band means an output ahead of its input; one that hardly grows is drift
             seen = pole.real * problem.seconds > _GROWS and abs(pole) < problem.omega
-            if seen and rms <= _FRACTION * (stable if best is None else best[1]):  # a higher order must halve it again
-                best = complex(pole), rms
+            if seen and rms <= _FRACTION * stable:
+                best, stable = (complex(pole), rms), rms  # a higher order must halve it again
     return best
 
 

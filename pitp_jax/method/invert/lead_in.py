@@ -43,7 +43,7 @@ def led_in(motion: Motion, limits: Limits) -> Motion:
         early = int(np.ceil(total_delay(model.effects) / dt))
         # at rest, because delayed input must be played before
         return _after(motion, np.zeros(early + 2 * order if early else 0))
-    low, high = (0.0 if limits.low == 0 else low) - still, high - still
+    low, high = low - still, high - still
     # with no more than the force of the first sample, damped motion arrives late
     own = 1.02 * float(a @ states[0])
     narrow = max(low, min(own, 0.0)), min(high, max(own, 0.0))

@@ -78,7 +78,7 @@ def last_digit(target: Target) -> float:
         multiple = values / 10.0**power
         error = np.abs(multiple - np.round(multiple))
         if (error <= _EXACT * np.finfo(float).eps * np.maximum(np.abs(multiple), 1.0)).all():
-            return float(to_base(10.0**power, unit)) if 10.0**power <= 1e-3 * span else 0.0
+            return float(to_base(10.0**power, unit)) * (10.0**power <= 1e-3 * span)
     return 0.0
 
 
