@@ -14,11 +14,14 @@ import numpy as np
 from .errors import refuse_traced
 
 
-def _counted(predicted, measured, mask) -> np.ndarray:
+def _counted(predicted, measured, mask, part: slice = slice(None)) -> tuple[np.ndarray, np.ndarray]:
+    """Return the counted samples of a part of both series."""
     refuse_traced("an error of pitp", "its equation in jax.numpy", predicted, measured, mask)
-    measured = np.asarray(measured, dtype=np.float64)
+    predicted, measured = (np.asarray(values, dtype=np.float64) for values in (predicted, measured))
     counted = np.isfinite(measured)
-    return counted if mask is None else counted & np.asarray(mask, dtype=bool)
+    if mask is not None:
+        counted &= np.asarray(mask, dtype=bool)
+    return predicted[part][counted[part]], measured[part][counted[part]]
 
 
 def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
@@ -39,13 +42,12 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
         >>> pitp.rmse(np.array([1.0, 2.0]), np.array([1.0, 4.0]))
         1.4142135623730951
     """
-    counted = _counted(predicted, measured, mask)
-    error = np.asarray(predicted, dtype=np.float64)[counted]
-    if error.size == 0:
+    predicted, measured = _counted(predicted, measured, mask)
+    if predicted.size == 0:
         return float("nan")
-    if not np.all(np.isfinite(error)):
+    if not np.all(np.isfinite(predicted)):
         return float("inf")
-    error = error - np.asarray(measured, dtype=np.float64)[counted]
+    error = predicted - measured
     scale = float(np.abs(error).max())  # avoids an overflow of the squares of a nearly diverged prediction
     return scale * float(np.sqrt(np.mean((error / scale) ** 2))) if scale > 0 else 0.0
 
@@ -68,8 +70,7 @@ def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.e_rms_percent(np.array([1.0, 2.0]), np.array([0.0, 2.0]))  # 100 sqrt(1/2) / 2
         35.35533905932738
     """
-    counted = _counted(predicted, measured, mask)
-    values = np.asarray(measured, dtype=np.float64)[counted]
+    _, values = _counted(predicted, measured, mask)
     return _percent(rmse(predicted, measured, mask), float(np.ptp(values)) if values.size else 0.0)
 
 
@@ -92,8 +93,7 @@ def nrmse_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray 
         >>> pitp.nrmse_percent(np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0]))
         100.0
     """
-    counted = _counted(predicted, measured, mask)
-    values = np.asarray(measured, dtype=np.float64)[counted]
+    _, values = _counted(predicted, measured, mask)
     # the deviation of equal numbers may be a rounding error instead of 0, which must not become the divisor
     return _percent(rmse(predicted, measured, mask), float(values.std()) if np.unique(values).size > 1 else 0.0)
 
@@ -131,9 +131,7 @@ def rmhe_percent(
         10.0
     """
     cycle = slice(None if samples_per_cycle is None else -int(samples_per_cycle), None)
-    counted = _counted(reference, measured, mask)[cycle]
-    across = np.asarray(measured, dtype=np.float64)[cycle][counted]
-    up = np.asarray(reference, dtype=np.float64)[cycle][counted]
+    up, across = _counted(reference, measured, mask, cycle)
     if len(up) < 3 or np.ptp(up) == 0 or np.ptp(across) == 0:
         return float("nan")
     # edges of the polygon; the last one closes it

@@ -8,13 +8,13 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, nonlinear, signed
 
 
 def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
     """Build a catalogue entry: F times a positive factor that depends on x; the inverse divides by it."""
     return EffectSpec(
-        "stretch_coupling", form, (Parameter("b", "1/x", length=-1, positive=False, off=0.0),), title, equation,
+        "stretch_coupling", form, (signed("b", "1/x", length=-1),), title, equation,
         "coupling", "SQ",
         law=lambda p, force, x: force * factor(p.b * x), inverse=lambda p, force, x: force / factor(p.b * x),
     )  # fmt: skip
@@ -38,7 +38,7 @@ COUPLING = (
         lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
     ),
     EffectSpec(
-        "dielectric_saturation", "rational", (Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False),),
+        "dielectric_saturation", "rational", (nonlinear("inverse", "1/V^2", force=-1),),
         "At high field the force grows less than with the square of "
         "the voltage.",
         "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",

@@ -15,7 +15,7 @@ import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import dahl
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, signed, strength
 
 _loss = partial(EffectSpec, family="dissipation", port="C")  # a force against the velocity
 
@@ -56,11 +56,11 @@ def _loaded(p, now: Instant):
     return p.mu_avg * jnp.abs(g) * z + p.mu_dif * g * z**2
 
 
-_LEVEL = Parameter("level", "V^2", force=1, off=0.0)
+_LEVEL = strength("level", "V^2", force=1)
 
 LOSSES = (
     _loss(
-        "drag", "quadratic", (Parameter("c", "V^2 s^2/x^2", speed=-2, force=1, off=0.0),),
+        "drag", "quadratic", (strength("c", "V^2 s^2/x^2", speed=-2, force=1),),
         "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
     ),
@@ -70,13 +70,13 @@ LOSSES = (
         law=lambda p, now: dry(now, p.level),
     ),
     _loss(
-        "coulomb_friction", "loaded by the spring", (_LEVEL, Parameter("mu", off=0.0)),
+        "coulomb_friction", "loaded by the spring", (_LEVEL, strength("mu")),
         "Dry friction that grows with the force of the spring, as in a loaded gear.", "f = (level + mu |k x|) sgn(x')",
         resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x)),
     ),
     _loss(
-        "coulomb_friction", "loaded by spring and mass", (_LEVEL, Parameter("mu", off=0.0)),
+        "coulomb_friction", "loaded by spring and mass", (_LEVEL, strength("mu")),
         "Dry friction that grows with the force of spring and mass together.",
         "f = (level + mu |k x + a_2 x''|) sgn(x'), x'' without the friction", resolved=True,
         law=lambda p, now: dry(now, p.level + p.mu * jnp.abs(now.k * now.x + now.inertial)),
@@ -100,7 +100,7 @@ LOSSES = (
     _loss(
         "coulomb_friction", "bristles under load",
         (
-            Parameter("mu_avg", off=0.0), Parameter("mu_dif", positive=False, off=0.0),
+            strength("mu_avg"), signed("mu_dif"),
             Parameter("give", "x", length=1),
         ),
         "Dry friction that grows with the force that a gear transmits, and differs when the load drives it.",

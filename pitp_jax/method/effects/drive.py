@@ -19,11 +19,11 @@ import jax.numpy as jnp
 
 from ..model.drive import slope
 from .kernels import DELAY, PRESENT, dahl_of_integral, lag, lag_each_way, lead, play, slew
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, nonlinear, signed, strength
 
 _drive = partial(EffectSpec, family="drive", port="IN")  # from the commanded voltage to the film's
 
-TAU = Parameter("tau", "s", off=0.0, linear=False)
+TAU = nonlinear("tau", "s")
 # a memory of the input faster than the plant is a filter of it, not a charge
 _STORE = Parameter("tau", "s", slow=True)
 
@@ -47,7 +47,7 @@ def _by_area(p, k, plant):
 def _crossing(form: str, title: str, equation: str, unit: str, part: Callable) -> EffectSpec:
     """Build a catalogue entry: the sensor's reading contains `part` of the voltage, times d."""
     return EffectSpec(
-        "feedthrough", form, (Parameter("d", unit, length=1, positive=False, off=0.0),), title, equation, "sensor",
+        "feedthrough", form, (signed("d", unit, length=1),), title, equation, "sensor",
         "IN", kernel=PRESENT, law=lambda p, u, z: u, inverse=lambda p, v, dt: v,
         crosses=lambda p, z: p.d * part(z[0]),
     )  # fmt: skip
@@ -61,7 +61,7 @@ DRIVE = (
     ),
     _drive(
         "bleeder", "one lag each way",
-        (Parameter("up", "s", off=0.0, linear=False), Parameter("down", "s")),
+        (nonlinear("up", "s"), Parameter("down", "s")),
         "The electrodes discharge faster or slower than they charge.",
         "tau V' = u - V, tau = up where |u| > |V|, else down", kernel=lag_each_way(), only_given=True,
         law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
@@ -76,50 +76,50 @@ DRIVE = (
         passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag", only_given=True,
     ),
     _drive(
-        "slew_limit", "rate limit", (Parameter("inverse", "s/V", off=0.0, linear=False),),
+        "slew_limit", "rate limit", (nonlinear("inverse", "s/V"),),
         "The amplifier cannot change its voltage faster than a limit.",
         "V follows u with |V'| <= s, inverse = 1 / s", kernel=slew(),
         law=lambda p, u, z: jnp.where(p.inverse > 0, z[0], u), inverse=lambda p, v, dt: v,
         passes=lambda p, v, dt: jnp.abs(slope(v, dt)) * p.inverse <= 1.0,
     ),
     _drive(
-        "voltage_clip", "hard", (Parameter("inverse", "1/V", off=0.0, linear=False),),
+        "voltage_clip", "hard", (nonlinear("inverse", "1/V"),),
         "The amplifier does not go above a voltage.", "V = min(max(u, -u_max), u_max), inverse = 1 / u_max",
         law=lambda p, u, z: jnp.clip(u, -1 / jnp.maximum(p.inverse, 1e-30), 1 / jnp.maximum(p.inverse, 1e-30)),
     ),
     _drive(
-        "dead_zone", "symmetric", (Parameter("threshold", "V", off=0.0, linear=False),),
+        "dead_zone", "symmetric", (nonlinear("threshold", "V"),),
         "Below a threshold the voltage has no effect; above it, only the excess acts.",
         "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold",
         law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
         inverse=lambda p, v, dt: v + p.threshold * jnp.sign(v),
     ),
     _drive(
-        "voltage_offset", "constant", (Parameter("offset", "V", positive=False, off=0.0),),
+        "voltage_offset", "constant", (signed("offset", "V"),),
         "A constant voltage is added to the commanded one.", "V = u + offset",
         law=lambda p, u, z: u + p.offset,
     ),
     _drive(
-        "delay", "pure", (Parameter("time", "s", off=0.0, linear=False),), "The voltage acts after a delay T.",
+        "delay", "pure", (nonlinear("time", "s"),), "The voltage acts after a delay T.",
         "V(t) = u(t - T), T = time", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
         commutes=True, law=lambda p, u, z: u,
         # up to a period of the resonance, as behind a bus or a filter
     ),
     _drive(
-        "charge_leak", "one trap", (Parameter("kappa", off=0.0), _STORE),
+        "charge_leak", "one trap", (strength("kappa"), _STORE),
         "Charge creeps into the film and takes away part of a held voltage.", "V = u - kappa q, tau q' = u - q",
         kernel=lag(),
         law=lambda p, u, z: u - p.kappa * z[0],
     ),
     _drive(
-        "charge_retention", "one store", (Parameter("k", off=0.0), _STORE),
+        "charge_retention", "one store", (strength("k"), _STORE),
         "Charge stays in the film and keeps pulling when the voltage is zero.", "V = u + q, tau q' = k |u| - q",
         kernel=lag(of=lambda p, u: p.k * jnp.abs(u)),
         law=lambda p, u, z: u + z[0],
     ),
     EffectSpec(
         "hysteresis", "plays of the drive",
-        (*(Parameter(f"w{k}", positive=False, off=0.0) for k in (1, 2, 3, 4)), Parameter("width", "V")),
+        (*(signed(f"w{k}") for k in (1, 2, 3, 4)), Parameter("width", "V")),
         "The film polarises along a loop that is the same at every frequency.",
         "V = u + sum_j w_j (z_j - u), z_j plays of u of half width (0.04, 0.125, 0.25, 0.4) width", "dissipation", "IN",
         kernel=play(0.04, 0.125, 0.25, 0.4),
@@ -127,7 +127,7 @@ DRIVE = (
     ),
     EffectSpec(
         "hysteresis", "Dahl of the command's integral",
-        (Parameter("level", "V", positive=False, off=0.0), Parameter("width", "V s")),
+        (signed("level", "V"), Parameter("width", "V s")),
         "If the command is a speed, a force builds up over the commanded distance and then stays constant.",
         "V = u + level z, dz = (u - |u| z) dt / width", "dissipation", "IN",
         kernel=dahl_of_integral(), reported=_by_area,

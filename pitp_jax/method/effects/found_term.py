@@ -6,7 +6,7 @@ The products that a diagnosis tries, and the reason for them: docs/decisions/ter
 """
 
 from .effect import Instant
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, signed
 
 PRODUCTS = ("x x'", "x^2 x'", "x' F")
 
@@ -18,9 +18,9 @@ def _law(p, now: Instant):
 TERM = EffectSpec(
     "found_term", "products",
     (
-        Parameter("c1", "V^2 s/x^2", length=-1, speed=-1, force=1, positive=False, off=0.0),
-        Parameter("c2", "V^2 s/x^3", length=-2, speed=-1, force=1, positive=False, off=0.0),
-        Parameter("c3", "s/x", speed=-1, positive=False, off=0.0),
+        signed("c1", "V^2 s/x^2", length=-1, speed=-1, force=1),
+        signed("c2", "V^2 s/x^3", length=-2, speed=-1, force=1),
+        signed("c3", "s/x", speed=-1),
     ),
     "An equation found in the data, if no effect of the catalogue fits.", "f = c1 x x' + c2 x^2 x' + c3 x' "
     "F", "found", "C",

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import oscillator
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, nonlinear, signed, strength
 
 
 def _hung(p, now: Instant):
@@ -28,13 +28,13 @@ MODE = Parameter("omega", "rad/s", resonance=True), Parameter("zeta", most=0.5)
 
 MASSES = (
     EffectSpec(
-        "added_mass", "share", (Parameter("d", positive=False, off=0.0),),
+        "added_mass", "share", (signed("d"),),
         "More (or less) mass moves than the model contains.", "f = d a_2 x''", "inertia", "M", moves="mass",
         law=lambda p, now: 0.0 * now.x,
         mass=lambda p, now: p.d * now.coefficients[min(2, now.order)],
     ),
     EffectSpec(
-        "second_mode", "hung on", (Parameter("kappa", off=0.0), *MODE),
+        "second_mode", "hung on", (strength("kappa"), *MODE),
         "A second mass hangs on the first one by a spring and a damper.",
         "f = k kappa (x - z + r (x' - z')), z'' = omega^2 (x - z + r (x' - z')), r = 2 zeta / omega", "inertia", "M",
         kernel=oscillator(), law=_hung, needs_mass=True,
@@ -62,13 +62,13 @@ def _saturated(p, now: Instant):
 
 LIMITS = (
     EffectSpec(
-        "force_limit", "inside the loop", (Parameter("inverse", "1/V^2", force=-1, off=0.0, linear=False),),
+        "force_limit", "inside the loop", (nonlinear("inverse", "1/V^2", force=-1),),
         "The drive of a position controller cannot exceed a force.",
         "a_2 x'' = min(max(k (u - x) - a_1 x', -f), f), inverse = 1 / f", "drive", "M", resolved=True, needs_mass=True,
         law=_saturated,
     ),
     EffectSpec(
-        "slack", "free fall", (Parameter("inverse", "s^2/x", acceleration=-1, off=0.0, linear=False),),
+        "slack", "free fall", (nonlinear("inverse", "s^2/x", acceleration=-1),),
         "The actuator can only pull the load; otherwise the load falls freely.",
         "x'' >= -g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall,
     ),

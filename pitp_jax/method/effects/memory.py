@@ -15,10 +15,10 @@ slides is dry friction.
 import jax.numpy as jnp
 
 from .kernels import CLOCK, bouc_wen, dahl, lag, play
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, signed, strength
 
 _GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
-_STRENGTH = Parameter("kappa", off=0.0)
+_STRENGTH = strength("kappa")
 _WIDTH = (_STRENGTH, Parameter("width", "x", length=1))
 
 
@@ -81,7 +81,7 @@ MEMORIES = (
     ),
     _BOUC_WEN[0],
     EffectSpec(
-        "stiffness_drift", "settling", (Parameter("d", positive=False, off=0.0), Parameter("time", "s")),
+        "stiffness_drift", "settling", (signed("d"), Parameter("time", "s")),
         "The stiffness changes during the session, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
         kernel=CLOCK, law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.time) * now.x,
     ),

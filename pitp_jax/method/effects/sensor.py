@@ -14,7 +14,7 @@ from ..model.drive import slope
 from .drive import TAU, last_lag
 from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, nonlinear, signed, strength
 
 
 def _within_play(p, x, z):
@@ -24,7 +24,7 @@ def _within_play(p, x, z):
 
 _sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacement to its reading
 
-_WIDTH = Parameter("width", "x", length=1, off=0.0, linear=False)
+_WIDTH = nonlinear("width", "x", length=1)
 
 
 def _second_order(p, y, dt):
@@ -43,7 +43,7 @@ def _across(p, y, dt):
 
 SENSOR = (
     _sensor(
-        "sensor_gain", "share", (Parameter("d", positive=False, off=0.0),), "The sensor's scale factor is off.",
+        "sensor_gain", "share", (signed("d"),), "The sensor's scale factor is off.",
         "y = (1 + d) x", moves="gain", twin="parameter_change",
         law=lambda p, x, z: (1 + p.d) * x,
     ),
@@ -51,14 +51,14 @@ SENSOR = (
     _sensor(
         "sensor_nonlinearity", "quadratic and cubic",
         (
-            Parameter("c2", "1/x", length=-1, positive=False, off=0.0),
-            Parameter("c3", "1/x^2", length=-2, positive=False, off=0.0),
+            signed("c2", "1/x", length=-1),
+            signed("c3", "1/x^2", length=-2),
         ),
         "The sensor is nonlinear, differently on either side.",
         "y = x + c2 x^2 + c3 x^3", law=lambda p, x, z: x + p.c2 * x**2 + p.c3 * x**3,
     ),
     _sensor(
-        "sensor_nonlinearity", "saturating", (Parameter("c", "1/x", length=-1, off=0.0),),
+        "sensor_nonlinearity", "saturating", (strength("c", "1/x", length=-1),),
         "The sensor's sensitivity decreases towards the ends of its range.", "y = tanh(c x) / c",
         law=lambda p, x, z: jnp.where(p.c > 0, jnp.tanh(p.c * x) / jnp.maximum(p.c, 1e-6), x),
         # beyond its range the sensor cannot show the wanted reading: the last possible position
@@ -98,7 +98,7 @@ SENSOR = (
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),
     EffectSpec(
-        "second_mode", "between film and sensor", (Parameter("gain", off=0.0), *MODE),
+        "second_mode", "between film and sensor", (strength("gain"), *MODE),
         "A mass on a spring is between the film and the sensor.", "y = x + gain (z - x), z as of the attached mass",
         "inertia", "OUT", kernel=oscillator(),
         # from gain 1 on the reading has a zero in the right half plane, and shooting on the rollout takes over

@@ -9,6 +9,7 @@ stiffness in units of the nominal's; voltages in V, times in s. `Parameter` defi
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
@@ -51,6 +52,12 @@ class Parameter:
     slow: bool = False
     resonance: bool = False
     fixed: bool = False
+
+
+# Parameters at whose value 0 the effect vanishes.
+strength = partial(Parameter, off=0.0)  # positive, and the effect is proportional to it
+signed = partial(Parameter, positive=False, off=0.0)  # of either sign
+nonlinear = partial(Parameter, off=0.0, linear=False)  # positive, and the effect is not proportional to it
 
 
 @dataclass(frozen=True, eq=False)

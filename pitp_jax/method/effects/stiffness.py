@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .kernels import FARTHEST
-from .spec import EffectSpec, Parameter
+from .spec import EffectSpec, Parameter, nonlinear, signed, strength
 
 _spring = partial(EffectSpec, family="stiffness", port="K")  # a force beside the linear spring
 
@@ -78,10 +78,7 @@ def _by_tangent(p, k, plant):
 
 def _polynomial(name: str, title: str) -> EffectSpec:
     """Build the catalogue entry of a polynomial spring whose terms may have either sign."""
-    parameters = tuple(
-        Parameter(f"c{n}", unit, length=1 - n, positive=False, off=0.0)
-        for n, unit in ((2, "1/x"), (3, "1/x^2"), (5, "1/x^4"))
-    )
+    parameters = tuple(signed(f"c{n}", unit, length=1 - n) for n, unit in ((2, "1/x"), (3, "1/x^2"), (5, "1/x^4")))
     return _spring(
         name, "polynomial", parameters, title, "f = k (c2 x^2 + c3 x^3 + c5 x^5)",
         reported=_by_tangent, law=lambda p, now: now.k * now.x**2 * (p.c2 + now.x * (p.c3 + p.c5 * now.x**2)),
@@ -93,13 +90,13 @@ def _pushed(p, now, depth, sign):
     return jnp.where(depth > 0, jnp.maximum(depth + sign * p.tau * now.rates[0] * now.v, 0.0), 0.0)
 
 
-_STOP = (Parameter("kappa", off=0.0), Parameter("place", "x", length=1, positive=False))
+_STOP = (strength("kappa"), Parameter("place", "x", length=1, positive=False))
 _STOPS = (*_STOP, Parameter("opposite", "x", length=1, positive=False))
-_CURVATURE = (Parameter("curvature", "1/x", length=-1, off=0.0, linear=False),)
+_CURVATURE = (nonlinear("curvature", "1/x", length=-1),)
 
 SPRINGS = (
     _spring(
-        "stiffening", "cubic", (Parameter("c", "1/x^2", length=-2, off=0.0),),
+        "stiffening", "cubic", (strength("c", "1/x^2", length=-2),),
         "The spring gets harder with displacement.", "f = k c x^3",
         law=lambda p, now: now.k * p.c * now.x**3,
     ),
@@ -110,7 +107,7 @@ SPRINGS = (
     ),
     _polynomial("stiffening", "The spring gets harder towards the ends of the motion."),
     _spring(
-        "softening", "quadratic", (Parameter("c", "1/x", length=-1, off=0.0),),
+        "softening", "quadratic", (strength("c", "1/x", length=-1),),
         "The spring gets softer with displacement.",
         "f = -k c x^2, no further than where the spring's slope is a tenth of k",
         law=_quadratic,
@@ -122,7 +119,7 @@ SPRINGS = (
         law=_saturating,
     ),
     _spring(
-        "softening", "exponential", (Parameter("b", "1/x", length=-1, off=0.0, linear=False),),
+        "softening", "exponential", (nonlinear("b", "1/x", length=-1),),
         "The spring gets softer in one direction and harder in the other.",
         "f = k ((1 - exp(-b x)) / b - x)",
         law=_exponential,
@@ -134,7 +131,7 @@ SPRINGS = (
     ),
     _spring(
         "softening", "weight on an arm",
-        (Parameter("kappa", positive=False, off=0.0), Parameter("curvature", "1/x", length=-1, fixed=True)),
+        (signed("kappa"), Parameter("curvature", "1/x", length=-1, fixed=True)),
         "A weight on an arm acts in addition to the spring; its torque grows less than the angle.",
         "f = k kappa L sin(x / L), L = 1 / curvature = 1 rad", stiffens=True,
         law=lambda p, now: p.kappa * (_gravity(p, now) + now.k * now.x),
@@ -145,7 +142,7 @@ SPRINGS = (
         law=_root,
     ),
     _spring(
-        "mullins", "exponential", (Parameter("d", off=0.0), Parameter("length", "x", length=1)),
+        "mullins", "exponential", (strength("d"), Parameter("length", "x", length=1)),
         "The spring is softer after a larger stretch (Mullins effect).",
         "f = -k d (1 - exp(-m / L)) x, m the largest |x| so far", kernel=FARTHEST,
         law=lambda p, now: now.k * p.d * jnp.expm1(-now.z[0] / p.length) * now.x,

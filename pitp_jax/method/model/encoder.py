@@ -8,6 +8,7 @@ It never sees x^(n), which the tokens themselves define (docs/readings.md: a rol
 
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Literal
 
 import equinox as eqx
@@ -274,7 +275,7 @@ class AdaptedEncoder(AbstractEncoder):
 
     def scaled(self, factor):
         """Return the encoder with the inner last layer multiplied by `factor`; the adaptation to the day stays."""
-        return AdaptedEncoder(self.inner.scaled(factor), self.offset, self.creep, self.tilt, self.reach)
+        return replace(self, inner=self.inner.scaled(factor))
 
 
 def _fade(state: Rows, low: Array, high: Array) -> Array:
