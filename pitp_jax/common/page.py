@@ -77,6 +77,8 @@ class Table:
     def html(self) -> str:
         """Write the table, never wider than the page; on a narrow page each row is a list of named values."""
         rows = self.cells()
+        if not rows:
+            return ""
         shown = [k for k in range(len(self.header)) if any(row[k] not in self.omitted for row in rows)]
         css = ["text" if k in self.text else "" for k in range(len(self.header))]
         head = "".join(tag("th", self.header[k], css[k]) for k in shown)
@@ -88,7 +90,7 @@ class Table:
             )
             body.append(f"<tr{look}>{''.join(cells)}</tr>")
         note = tag("p", self.note, "soft") if self.note else ""
-        return f"{note}<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>" if rows else ""
+        return f"{note}<table><thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody></table>"
 
 
 @dataclass(frozen=True)

@@ -110,7 +110,7 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     turned = _turned(rows)
     more = dict.fromkeys(turned, "its sensor is reversed, unlike most others") | apart
     rows = {n: replace(row, problems=(*row.problems, more[n])) if n in more else row for n, row in rows.items()}
-    cover = coverage(used, input_map, resonance) if used and resonance else None
+    cover = coverage(used, input_map, resonance) if resonance else None
     repeats = find_repeats(used, {name: float(row.direction or 1) for name, row in rows.items()})
     advice = set_advice(rows, used, cover, repeats, cycles(used), fitted, turned)
     # added to the others, so that one bad file does not hide the good ones

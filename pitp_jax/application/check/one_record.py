@@ -79,8 +79,7 @@ def facts(record: Record) -> CheckedRecord:
     seen, unit = record.recognised, record.displacement_unit
     outliers, clipped, lost = (int(seen.get(key, 0)) for key in ("outliers", "clipped", "lost"))
     jitter = float(seen.get("jitter", _jitter(record)))
-    changes = bool(np.ptp(record.voltage) > 0)
-    band = drive_band(record) if changes else None
+    band = drive_band(record)
     noise = noise_std(record.displacement)
     values = {"outliers": outliers, "lost": lost, "jitter": jitter if jitter > TIME_TOLERANCE else 0}
     problems = []
@@ -94,7 +93,7 @@ def facts(record: Record) -> CheckedRecord:
         recognised={key: seen[key] for key in ("file", "time", "input", "output", "lost", "clipped") if key in seen},
         unit=unit,
         noise=float(from_base(noise, unit)), missing=record.missing, outliers=outliers, jitter=jitter,
-        excitation=kind(record) if changes else "none", band_hz=band,
+        excitation=kind(record) if band else "none", band_hz=band,
         repaired=tuple(Remark(what, record.name, value) for what, value in values.items() if value),
         problems=tuple(problems),
     )  # fmt: skip
@@ -126,8 +125,7 @@ def quick_problems(records: Sequence[Record]) -> list[str]:
     """Return problems of records that show without a fit, one line each, for commands that fit anyway."""
     lines, reach = [], []
     for r in records:
-        band = drive_band(r) if np.ptp(r.voltage) > 0 else None
-        lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), band)]
+        lines += [f"{r.name}: {line}" for line in drive_problems(r, noise_std(r.displacement), drive_band(r))]
         reach.append(float(np.nanstd(r.displacement)) / max(float(r.voltage.std()), 1e-300))
     # the median, so that one record in other units does not change the usual value; a resonance and its roll-off change
     # one actuator's range by less than a factor of 300
@@ -146,8 +144,13 @@ def moves(record: Record) -> bool:
         return False
 
 
-def drive_band(record: Record) -> tuple[float, float]:
-    """Return the lowest and highest frequency (Hz) of the input, with 98 % of its energy between; equal for a sine."""
+def drive_band(record: Record) -> tuple[float, float] | None:
+    """Return the lowest and highest frequency (Hz) of the input, with 98 % of its energy between; equal for a sine.
+
+    None if the input never changes.
+    """
+    if not np.ptp(record.voltage) > 0:
+        return None
     if kind(record) == "sine":
         line = loudest(record)
         return line, line

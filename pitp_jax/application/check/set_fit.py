@@ -166,7 +166,9 @@ def _beside(record: Record, logs: np.ndarray, begun: Beginning, step: int) -> Be
     driven = respond(logs, force, step=dt, square=False, hold="foh", settled=begun.begins == "held")
     free, _ = coast(logs, record.samples, step=dt)
     columns = [np.ones(len(driven)), driven]
-    stacked = np.column_stack([*columns, free] if begun.begins == "moving" else columns)[seen]
+    if begun.begins == "moving":
+        columns.append(free)
+    stacked = np.column_stack(columns)[seen]
     y = record.displacement[seen]
     factors, error = project(y, stacked)
     level = np.sqrt(np.sum(error**2) / max(len(y) - stacked.shape[1], 1))

@@ -92,7 +92,8 @@ def diagnose(
         _say_written(robot, Path(out), written, csv)
     if robot.interrupted:
         place = out or json_file
-        raise KeyboardInterrupt(f"the best result so far is in {place}" if place else "the best result so far is above")
+        where = f"in {place}" if place else "above"
+        raise KeyboardInterrupt(f"the best result so far is {where}")
 
 
 def _check_options(refit_nominal, against, position_gain, mjcf, joint, actuator, out) -> None:

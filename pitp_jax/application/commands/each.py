@@ -19,8 +19,7 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
     Raises:
         BadInput: an `--each` of another form, or two of one name.
     """
-    takes_joints, said = "each" in arguments, arguments.pop("each", None)
-    read_as = _joints(arguments, said) if takes_joints else {}
+    read_as = _joints(arguments)
     if not read_as:
         yield arguments
         return
@@ -46,8 +45,11 @@ def once_per_joint(arguments: dict) -> Iterator[dict]:
             write_index(Path(place), Path(place))
 
 
-def _joints(arguments: dict, said: list[str] | None) -> dict[str, dict]:
-    """Return reading options by robot joint; empty if neither the caller nor `pitp.toml` names joints."""
+def _joints(arguments: dict) -> dict[str, dict]:
+    """Remove `each` from the arguments; return reading options by robot joint, if it or `pitp.toml` names joints."""
+    if "each" not in arguments:
+        return {}
+    said = arguments.pop("each")
     # the folders of these arguments do not determine joints
     no_records = "out", "report", "json_file", "model", "nominal"
     read_from = [v for key, v in arguments.items() if key not in no_records]

@@ -60,9 +60,10 @@ def fit(
     def identified(some: Sequence[Record]) -> Identification:
         return _identified(some, order or "auto", input_map)
 
-    first = None if given else identified(read_in)
-    start = first.model if first else given
-    assert start is not None
+    first, start = None, given
+    if start is None:
+        first = identified(read_in)
+        start = first.model
     check_belongs(start, nominal or "the identified model", read_in)
     settings = replace(preset_of(preset), parts=tuple(dict.fromkeys(learn)))
     how = {"settings": settings, "key": jax.random.key(seed)}

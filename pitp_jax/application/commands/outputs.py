@@ -148,7 +148,7 @@ def _staged_folder(folder: str | os.PathLike) -> Iterator[Path]:
         for name in files:
             (target / name).parent.mkdir(parents=True, exist_ok=True)
         for name in files:
-            os.replace(stage / name, target / name)
+            os.replace(stage / name, target / name)  # after all folders exist: renaming alone cannot fail half way
         made = []
     except BadInput as error:
         raise BadInput(str(error).replace(str(stage), str(target))) from None

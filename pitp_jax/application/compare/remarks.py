@@ -14,7 +14,9 @@ _LISTED = 12  # names in one sentence; the JSON holds all
 def remarks_on(pairing: Pairing, first: str, second: str) -> list[str]:
     """Write remarks on clocks, unpaired recordings and signs; `first`, `second` name the sets of recordings."""
     named = [f"{p.first.name} with {p.second.name}" for p in pairing.pairs if p.first.name != p.second.name]
-    lines = [f"Paired by their commands ({first} with {second}): {_listed(named)}."] if named else []
+    lines = []
+    if named:
+        lines.append(f"Paired by their commands ({first} with {second}): {_listed(named)}.")
     lines += _of_ties(pairing, first, second)
     lines += _of_offsets(pairing, first, second)
     lines += _of_signs(pairing, second)

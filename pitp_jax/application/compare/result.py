@@ -37,11 +37,11 @@ class Difference:
 
     def words(self) -> str:
         """Write the difference in one line."""
-        ratio = ""
+        line = f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip()
         # a factor is useful for numbers of similar size and equal sign; otherwise the numbers themselves are clearer
         if isinstance(self.a, float) and isinstance(self.b, float) and self.a and 0.1 < self.b / self.a < 10:
-            ratio = f" (factor {number(self.b / self.a)})"
-        return f"{self.what}: {_cell(self.a)} against {_cell(self.b)} {self.unit}".rstrip() + ratio
+            line += f" (factor {number(self.b / self.a)})"
+        return line
 
 
 @dataclass(frozen=True)
@@ -88,8 +88,9 @@ class Comparison(Shown):
         answers = {None: "not known", True: "yes", False: "no"}
         cells = []
         for r in rows:
-            known = r.ci95 is not None and all(map(math.isfinite, r.ci95))
-            ends = " to ".join(number(end, 3) for end in r.ci95) if r.ci95 and known else "-"
+            ends = "-"
+            if r.ci95 is not None and all(map(math.isfinite, r.ci95)):
+                ends = " to ".join(number(end, 3) for end in r.ci95)
             cells.append((r.what, r.a, r.b, r.unit, ends, answers[r.differs]))
         header = ("quantity", *self.names, "unit", "difference, 95 %", "differs")
         return Table(header, cells, "In the order of the recordings." * (self.kind == "records"), text=(0, 3))

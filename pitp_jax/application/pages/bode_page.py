@@ -21,7 +21,11 @@ from .tables import orders
 def bode_page(fits: Identification, name: str) -> Page:
     """Return the page on an identification whose model file is `name`."""
     chosen, recordings = fits.chosen, counted(len(fits.beginnings), "recording")
-    hold = "static" if chosen.static else "without a spring" if chosen.integrates else f"hold {chosen.hold}"
+    hold = f"hold {chosen.hold}"
+    if chosen.static:
+        hold = "static"
+    elif chosen.integrates:
+        hold = "without a spring"
     delay = f", delay {figure(1e3 * chosen.delay, 3)} ms" if chosen.delay else ""
     return Page(
         f"Order {chosen.order}, {hold}{delay}",

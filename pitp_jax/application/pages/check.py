@@ -31,7 +31,7 @@ def page(check: Check) -> Page:
             Section("Coverage", [_coverage(check)]),
             Section("The recordings as read", [
                 [_drawn(f"r{k}", r, check.records[r.name]) for k, r in enumerate(shown)],
-                f"and {more} more, in the CSV files" if more > 0 else "",
+                f"and {more} more, in the CSV files" if more else "",
             ]),
         ],
         "open" if wrong else "good",

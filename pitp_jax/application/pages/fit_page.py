@@ -118,9 +118,12 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     times = sorted(zip(np.exp(np.asarray(memory.log_tau, float)), np.sqrt(np.diag(scatter)), strict=True))
     longest, lines = max(r.samples * r.dt for r in records), []
     for tau, stderr in times:
-        mark = ", longer than the recordings" if tau > longest else ""
-        # a standard error of ln tau
-        lines.append(f"{figure(tau, 2)} s{', not determined' if stderr >= 0.5 else mark}")
+        mark = ""
+        if stderr >= 0.5:  # of ln tau
+            mark = ", not determined"
+        elif tau > longest:
+            mark = ", longer than the recordings"
+        lines.append(f"{figure(tau, 2)} s{mark}")
     return lines
 
 

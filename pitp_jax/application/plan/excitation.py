@@ -130,8 +130,9 @@ def protocol(actuator: str, part: str = "train", *, rest_s: float = 0.0, rise: f
         swing = numbers.offset
         drive = sweep(0.01, numbers.f_end, numbers.sweep_s, numbers.rate, swing, swing, **edges)
         return (Excitation("sweep", *drive),)
-    grid = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes] if part == "train" else numbers.test
-    digits = "03.0f" if part == "train" else "05.1f"
+    grid, digits = numbers.test, "05.1f"
+    if part == "train":
+        grid, digits = [(f, a) for f in numbers.frequencies for a in numbers.amplitudes], "03.0f"
     sines = tuple(
         Excitation(f"sine_{f:{digits}}Hz_{a:.0f}V", *sine(f, numbers.sine_s, numbers.rate, a, numbers.offset, **edges))
         for f, a in grid

@@ -32,13 +32,14 @@ POINTS = 3  # that a recording passes through
 def default_duration(limits: Limits, fresh: bool) -> float:
     """Return the default duration of all planned inputs together, s."""
     filling = FEWEST * max(limits.shortest, 4.0 / limits.band[0])  # four periods of the lowest frequency
-    return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits)) if fresh else filling
+    if not fresh:
+        return filling
+    return max(filling * (1 + 1 / FEWEST) / (1 - sum(_PARTS.values())), _least(limits))
 
 
 def _least(limits: Limits) -> float:
     """Return the shortest first session, s: two periods of the lowest frequency in the sweep, and all ramps."""
-    growth = 2 * limits.ramp(limits.high) * len(_GROWTH) / _PARTS["growth"]
-    return max(limits.shortest / _PARTS["sweep"], growth)
+    return max(limits.shortest / _PARTS["sweep"], 2 * limits.ramp(limits.high) * len(_GROWTH) / _PARTS["growth"])
 
 
 def first_session(limits: Limits, duration: float, seed: int) -> tuple[Planned, ...]:

@@ -179,8 +179,7 @@ def multisine(
     if len(bins) == 0:
         raise ValueError(f"no multiple of 1/{duration} Hz lies in the band {band} Hz; lengthen it or widen the band")
     phase = np.random.default_rng(seed).uniform(0.0, 2 * np.pi, len(bins))
-    best = _tones(bins, phase, len(time))
-    trial = best
+    best = trial = _tones(bins, phase, len(time))
     for _ in range(100):
         if crest is None or _crest(best) <= crest:
             break

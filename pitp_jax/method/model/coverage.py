@@ -42,7 +42,7 @@ def untrained_words(model: Model | Fitted, side: Side, part: Beyond) -> str:
     low, high = short(part.low_hz), short(part.high_hz)
     # a trained amplitude below a twentieth does not count as trained
     at = "" if part.reached < 0.05 * part.amplitude else " at this amplitude"
-    size, unit, what = "", getattr(units_of(model), side), "target" if side == "output" else side
+    size, unit, what = "", getattr(units_of(model), side), {"input": "input", "output": "target"}[side]
     if part.below_hz is not None and part.above_hz is not None:
         trained = f"up to {short(part.below_hz)} Hz and from {short(part.above_hz)} Hz{at}"
     elif part.below_hz is not None:

@@ -43,8 +43,9 @@ class OwnEncoder(AbstractEncoder):
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant, shape (n + 2,), in the precision of the features."""
-        takes_key = key is not None and "key" in inspect.signature(self.module).parameters
-        options = {"key": key} if takes_key else {}
+        options = {}
+        if key is not None and "key" in inspect.signature(self.module).parameters:
+            options["key"] = key
         return (self.factor * self.module(features, **options)).astype(features.dtype)
 
     def scaled(self, factor):

@@ -53,8 +53,11 @@ def gap(d: Diagnosis) -> tuple[Figure, str]:
     units, trace = units_of(d.model), worst(d)
     runs = [("model, refitted" if refitted(d) else "model as given", trace.nominal, ERROR)]
     if d.handed_back or d.effects:
-        added = "all effects" if len(d.effects) > 1 else "".join(d.effects)
-        label = f"with {added}" if added else "best candidate" if d.term is None else "with the found equation"
+        label = "best candidate"
+        if d.effects:
+            label = f"with {'all effects' if len(d.effects) > 1 else ''.join(d.effects)}"
+        elif d.term is not None:
+            label = "with the found equation"
         runs.append((label, trace.augmented, PREDICTED))
     words, measured = (units.output_word, "error"), ("measured", trace.measured)
     drawn = beside(trace.time, measured, runs, units.output.unit, words, telling(trace))
@@ -122,12 +125,14 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
     rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: 12 - len(rows)]
     (ax,) = axes = new_axes(1, 0.7 + 0.24 * max(len(rows), 2))
     for k, (name, r) in enumerate(rows):
-        color = "#e69f00" if name in d.equivalent else MEASURED
-        color = PREDICTED if name in d.effects or r is d.gap else color
+        color, tied = MEASURED, ""
+        if name in d.equivalent:
+            color, tied = "#e69f00", " (tied)"
+        if name in d.effects or r is d.gap:
+            color = PREDICTED
         ax.barh(k, np.clip(r.closed_fraction or 0.0, 0, 1), color=color, height=0.68)
         if r.ci95 is not None:
             ax.plot(np.clip(r.ci95, 0, 1), [k, k], color="#000000", lw=1.0, marker="|", ms=5)
-        tied = " (tied)" if name in d.equivalent else ""
         ax.text(1.03, k, fraction_closed(r.closed_fraction) + tied, va="center", fontsize=_SMALL)
     if not rows:
         ax.text(0.5, 0.5, "no gap to close", ha="center", va="center", fontsize=_SMALL + 1)
@@ -182,7 +187,7 @@ def _bars(d: Diagnosis, panels: Sequence[tuple[str, str, float, str]], color: st
     drawn = Figure(figsize=(5.0, 0.3 + 1.45 * len(panels)), layout="constrained")
     for ax, (name, key, scale, label) in zip(drawn.subplots(len(panels), 1), panels, strict=True):
         rows = d.where[name]
-        edges = scale * np.array([*(row[key][0] for row in rows), rows[-1][key][1]] if rows else [])
+        edges = scale * np.array([*(row[key][0] for row in rows), *(row[key][1] for row in rows[-1:])])
         ax.bar(range(len(rows)), [100 * row["share"] for row in rows], color=color, width=0.75)
         finish(np.array([ax]), label, ["fraction (%)"])
         step = float(np.ptp(edges)) / max(len(rows), 1) if rows else 0.0
