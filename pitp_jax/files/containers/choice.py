@@ -15,7 +15,7 @@ from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, spelt, to_base, units_of, written
 from .names import Header, read_header
 from .options import OPTIONS, ReadOptions
-from .refusal import Refused
+from .refusal import Refused, shortened
 from .table import Column, Table
 
 _KINDS = {  # of an input and of an output, the likelier first
@@ -476,11 +476,11 @@ def _is_monitor(values: np.ndarray, seen: _Seen) -> bool:
 
 
 def _names(names: Sequence[str]) -> str:
-    return ", ".join(repr(name if len(name) <= 40 else name[:40] + "...") for name in dict.fromkeys(names))
+    return ", ".join(repr(shortened(name, 40)) for name in dict.fromkeys(names))
 
 
 def listed(columns: Sequence[Column], most: int = 8) -> str:
     """Write the names of the first columns of a table, for messages."""
     names = [column.name for column in columns if column.name]
     beyond = len(dict.fromkeys(names[most:]))
-    return (_names(names[:most]) or "none") + (f" and {beyond} more" if beyond else "")
+    return (_names(names[:most]) or "none") + f" and {beyond} more" * bool(beyond)

@@ -104,8 +104,10 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
     check_columns(max(map(len, rows.cells), default=0))
     # numbers above a header that the user names are settings
     body = [k for k in range(len(rows.cells)) if not rows.commented[k] and rows.numbers[k] > (header_line or 0)]
-    width = _width([rows.cells[k] for k in body], decimal)
-    full = [row for row in map(rows.cells.__getitem__, body) if len(row) == width and _count(row, decimal)]
+    cells = [rows.cells[k] for k in body]
+    # half of the cells are numbers: one or two columns may be words
+    width = most_common(len(row) for row in cells if len(row) > 1 and 2 * _count(row, decimal) >= len(trimmed(row)))
+    full = [row for row in cells if len(row) == width and _count(row, decimal)]
     forms = _forms(full[_settings(full) :], width, decimal)
     if sum(form != "text" for form in forms) < 2:
         raise NoTable()
@@ -123,12 +125,6 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
     named = (plain_rows or above)[:4]  # a comment above a row of names is not a row of names
     readings = list(unrefused(lambda k: _named(bare, rows, k, units, widths, first), named))
     return readings or [_unnamed(bare, rows, units, first, widths)]
-
-
-def _width(body: Sequence[Sequence[str]], decimal: str) -> int:
-    """Return the most common number of cells among rows that hold numbers."""
-    # half of the cells are numbers: one or two columns may be words
-    return most_common(len(r) for r in body if len(r) > 1 and 2 * _count(r, decimal) >= len(trimmed(r)))
 
 
 def most_common(lengths: Iterable[int]) -> int:

@@ -137,5 +137,10 @@ def together(refusals: Sequence[Refused], files: int) -> Refused:
     return Refused(" | ".join([why, *several]), dict(options), aside if not several else "", sources[0], named, alone)
 
 
+def shortened(text: str, most: int) -> str:
+    """Return the first `most` characters of a text, with dots if there are more."""
+    return text if len(text) <= most else text[:most] + "..."
+
+
 def _more(sources: Sequence[str], shown: int) -> str:
     return f" and {len(sources) - shown} more" if len(sources) > shown else ""

@@ -192,7 +192,7 @@ def _named(registry: dict[str, Part], part) -> dict:
     )
 
 
-def _part(registry: dict[str, Part], described: dict, **given: Any):
+def _part(registry: dict[str, Part], described: dict):
     settings = dict(described)
     name = settings.pop("name")
     if name not in registry:
@@ -200,7 +200,7 @@ def _part(registry: dict[str, Part], described: dict, **given: Any):
             f"holds {str(name)[:40]!r}, which this pitp_jax does not know; update it, or make the model again from the "
             "recordings"
         )
-    return registry[name].build(**settings, **given)
+    return registry[name].build(**settings)
 
 
 def _bands(stored: dict | None) -> OutOfFold | None:
@@ -266,7 +266,9 @@ def _encoder(described: dict, own: Any) -> Any:
         raise BadInput(f"holds an encoder of your own ({name}): give pitp.load(FILE, encoder={name}(...)) in Python")
     if module is None and own is not None:
         raise BadInput("holds no encoder of your own; load it without `encoder`")
-    return _part(ENCODERS, settings, **({} if own is None else {"module": own}))
+    if own is not None:
+        settings["module"] = own
+    return _part(ENCODERS, settings)
 
 
 def build(header: dict, own: Any = None) -> Model:

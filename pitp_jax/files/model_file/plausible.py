@@ -9,6 +9,7 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...common.units import INPUT_UNITS, OUTPUT_UNITS
+from ..containers.refusal import shortened
 
 # far above any model, because a damaged size would allocate all memory
 _LARGEST = {"depth": 64, "outputs": 64, "tokens": 64, "order": 16, "memories": 256, "size": 256, "lags": 256}
@@ -110,5 +111,5 @@ def refuse(problems: list[str]) -> None:
     """
     if problems:
         # short and few, because the values are a stranger's text on the user's terminal
-        listed = "; ".join(problem if len(problem) <= 80 else problem[:80] + "..." for problem in problems[:8])
+        listed = "; ".join(shortened(problem, 80) for problem in problems[:8])
         raise BadInput(f"not a usable model file ({listed}); write it again with pitp")

@@ -64,6 +64,12 @@ class Gridded:
     uneven: bool = False
     bridged: int = 0
 
+    def names(self, name: str) -> list[str]:
+        """Return a name for every piece: `name`, or `name.1`, `name.2`, ... of several."""
+        if len(self.pieces) == 1:
+            return [name]
+        return [f"{name}.{k}" for k in range(1, len(self.pieces) + 1)]
+
 
 @dataclass(frozen=True)
 class _Line:
@@ -143,10 +149,12 @@ def _grid(rows: Rows) -> _Line | None:
     if straight.off.max() <= TIME_TOLERANCE + _ROUNDING:  # one lost row is half a sample
         return straight
     steps = np.diff(time)
+    if not (steps > 0).any():
+        return None
     # equal times have no step
-    usual = float(np.median(steps[steps > 0])) if (steps > 0).any() else 0.0
+    usual = float(np.median(steps[steps > 0]))
     # 2.0 usual steps: one sample was lost
-    moves = np.maximum(np.round(steps / usual), 1.0) if usual > 0 else np.ones(len(steps))
+    moves = np.maximum(np.round(steps / usual), 1.0)
     lost = len(steps) < moves.sum() < 2**53
     lines = [straight]
     if lost:  # one row lost in the middle of a long record stays within half a sample of a straight line
@@ -245,7 +253,7 @@ def _longest_gap(voltage: np.ndarray, index: np.ndarray, dt: float) -> float:
     moving = [part for part in stretches if len(part) > 8 and np.ptp(part) > 1e-6 * np.abs(part).max()]
     fastest = force_band(moving, dt) if moving else 0.0
     # a tenth of a period of the fastest input
-    return min(0.1 / (fastest * dt), len(voltage) / 10) if fastest > 0 else len(voltage) / 10
+    return min(0.1 / max(fastest * dt, 1e-300), len(voltage) / 10)
 
 
 def _piece(time, voltage, displacement, index, line: _Line, jitter) -> Piece:

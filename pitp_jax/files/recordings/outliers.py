@@ -75,14 +75,14 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     held = int((_standing(y, step, drive, still) & ~jumps & ~bad).sum())
     # more than half cannot be outliers
     if 2 * bad.sum() > len(y):
-        far = float(y[off_scale][0]) if off_scale.any() else np.nan
+        far = float(next(iter(y[off_scale]), np.nan))
         return Masked(displacement, limit=far, unseen=int(off_scale.sum()))
     if not bad.any() and not clipped.any():
         return Masked(displacement, held=held)
     kept, off = displacement.copy(), y[bad]
     kept[np.flatnonzero(seen)[bad | clipped]] = np.nan
     largest = off[np.argmax(np.abs(off - np.median(y)))] if bad.any() else np.nan
-    limit = y[clipped][0] if clipped.any() else np.nan
+    limit = next(iter(y[clipped]), np.nan)
     return Masked(kept, int(bad.sum()), int(clipped.sum()), float(largest), float(limit), held=held)
 
 

@@ -347,7 +347,6 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
     one = select_range(one)
     drive, unit = one.unit("voltage"), one.unit("displacement")
     masked, put = mended(one, rate)
-    many = len(put.pieces) > 1
     remarks = _remarks(name, masked, put, unit)
     seen = {
         "file": one.table.form,
@@ -362,12 +361,12 @@ def _records(path: Path, name: str, one: Loaded, rate: float | None = None) -> l
         "options": _beside(one.options, path).said(),
     }
     records = []
-    for k, piece in enumerate(put.pieces, 1):
+    for label, piece in zip(put.names(name), put.pieces, strict=True):
         own = seen | {"lost": piece.lost}
-        if k > 1:  # the remarks are listed once
+        if records:  # the remarks are listed once
             own |= {"remarks": [], "findings": []}
         signals = (piece.time, piece.voltage, piece.displacement)
-        records.append(Record(f"{name}.{k}" if many else name, *signals, drive, unit, os.fspath(path), own))
+        records.append(Record(label, *signals, drive, unit, os.fspath(path), own))
     return records
 
 
@@ -399,7 +398,7 @@ def _remarks(name: str, masked: Masked, put: Gridded, unit: str) -> list[Remark]
 def clock_remarks(name: str, put: Gridded) -> list[Remark]:
     """List remarks on what was changed in the time of a record while reading."""
     rows, count = put.rows, len(put.rows.time)
-    jitter = put.jitter if put.jitter > TIME_TOLERANCE and not put.packets else 0
+    jitter = put.jitter * (put.jitter > TIME_TOLERANCE and not put.packets)
     first = put.pieces[0].time
     rate = f"{(len(first) - 1) / np.ptp(first):.4g} Hz"
     steps = f"steps of {put.steps[0]:.3g} to {put.steps[1]:.3g} s, {rate}" if put.steps is not None else ""

@@ -30,7 +30,7 @@ def select_range(one: Loaded) -> Loaded:
     time = time - time[np.isfinite(time)][0] if np.isfinite(time).any() else time
     # times such as 0.1 s are not exact
     slack = 1e-3 * float(np.nanmedian(np.abs(np.diff(time)))) if len(time) > 1 else 0.0
-    begin, end = -np.inf if first is None else first, np.inf if last is None else last
+    begin, end = -np.inf if first is None else first, last or np.inf
     within = np.flatnonzero((time >= begin - slack) & (time <= end + slack))
     outside = np.flatnonzero((time < begin - slack) | (time > end + slack))
     # a row without a time stays, and is refused as in a file cut by hand

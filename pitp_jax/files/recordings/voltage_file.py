@@ -76,10 +76,10 @@ def _drives(path: Path, label: str, one: Loaded) -> Sequence[Drive]:
     if (output := _output(one.table, one.options)) is not None:
         remarks.append(f"{label}: column {output!r} is a measurement and was ignored")
     remarks += [f"{label}: {remark}" for remark in clock_remarks(label, put)]
-    ends, unit = ("",) if len(put.pieces) == 1 else [f".{k + 1}" for k in range(len(put.pieces))], one.unit("voltage")
+    unit = one.unit("voltage")
     return [
-        Drive(f"{label}{end}", p.time, p.voltage, unit, os.fspath(path), tuple(remarks) if p is put.pieces[0] else ())
-        for end, p in zip(ends, put.pieces, strict=True)
+        Drive(name, p.time, p.voltage, unit, os.fspath(path), tuple(remarks) if p is put.pieces[0] else ())
+        for name, p in zip(put.names(label), put.pieces, strict=True)
     ]
 
 

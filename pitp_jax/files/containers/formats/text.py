@@ -24,7 +24,7 @@ from ..guard import check_count, file_bytes, gunzip
 from ..header import MISSING, Layout, NoTable, Rows, is_number, layouts, most_common, trimmed
 from ..names import read_header
 from ..options import ReadOptions
-from ..refusal import Refused, unrefused
+from ..refusal import Refused, shortened, unrefused
 from ..stamps import is_stamp, seconds
 from ..table import Column, Parts, Table
 from .signatures import SIGNATURES
@@ -505,7 +505,7 @@ def numbers_of(cells: Sequence[str], layout: Layout, k: int, place: Callable[[in
         cells = [cell.removesuffix(column.beside).strip() for cell in cells]
     for sample, cell in enumerate(cells):
         if not is_number(cell, layout.decimal):
-            shown = cleaned(cell if len(cell) <= 20 else cell[:20] + "...")
+            shown = cleaned(shortened(cell, 20))
             raise BadInput(
                 f"column {column.name!r}, {place(sample)}: text {shown!r} instead of a number; write a "
                 "number (leave a missing output empty)"
