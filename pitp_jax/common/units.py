@@ -140,8 +140,8 @@ def column_names(quantity: str) -> tuple[str, ...]:
     """
     if quantity == "time":
         return tuple(f"time_{unit}" for unit in TIME_UNITS)
-    stems = {"voltage": ("voltage", "input"), "displacement": ("displacement", "output")}[quantity]
-    return tuple(f"{stem}_{unit.replace(' ', '')}" for stem in stems for unit in INPUT_UNITS)
+    other = {"voltage": "input", "displacement": "output"}[quantity]
+    return tuple(f"{stem}_{unit.replace(' ', '')}" for stem in (quantity, other) for unit in INPUT_UNITS)
 
 
 def units_of(quantity: str) -> tuple[str, ...]:
