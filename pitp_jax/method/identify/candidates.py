@@ -16,12 +16,11 @@ from functools import cache
 import numpy as np
 
 from ..model.model import Hold
+from .frequency_fit import fit_response
 from .frequency_response import FrequencyResponse
 from .heldout import Candidate, held_out
-from .linear_ode import logs_from_roots
 from .order_fit import identifiable
 from .output_error import Fit, OutputError, Problem, Structure, least_squares
-from .rational_fit import fit_rational
 from .starts import best_starts, guesses, one_more
 
 ORDERS = tuple(range(1, 7))
@@ -42,7 +41,7 @@ def search(
     progress: Callable[[str], None],
 ) -> list[Candidate]:
     """Fit and return all candidates in ascending order."""
-    by_response = cache(lambda order, delayed: _by_response(order, delayed, problem, response))
+    by_response = fit_response(response, problem.fine, orders, delays) if response.rich else {}
     roots = cache(lambda order: guesses(order, problem))
     candidates: list[Candidate] = []
     for order in orders:
@@ -138,7 +137,7 @@ def _under(hold: Hold, other: Fit, problem: Problem) -> np.ndarray:
 def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier: Sequence[Candidate]) -> Fit:
     """Fit one candidate from the frequency response, and from more initial guesses if a simpler model fits better."""
     order, delayed = structure.order, structure.delayed
-    known = {(c.structure.order, c.structure.delayed): c for c in earlier}
+    known, short = {(c.structure.order, c.structure.delayed): c for c in earlier}, np.log(_DELAY * problem.fine)
     lower, prompt = known.get((order - 1, delayed)), known.get((order, False)) if delayed else None
     bound = _NO_WORSE * min((c.cost for c in (lower, prompt) if c is not None), default=np.inf)
     if lower is None and order > 1 and len(problem.drive) > 1:
@@ -147,9 +146,12 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
     def fitted(starts) -> list[Fit]:
         return [_short(start, structure, problem) for start in starts]
 
-    ends, nested = fitted(by_response(order, delayed)), []
+    start = by_response.get((order, delayed))
+    if start is not None and delayed:
+        start = np.append(start[:-1], max(start[-1], short))
+    ends, nested = fitted([start] * (start is not None)), []
     if prompt is not None:
-        nested.append(np.append(prompt.params, np.log(_DELAY * problem.fine)))
+        nested.append(np.append(prompt.params, short))
     if lower is not None:
         nested += best_starts(structure, problem, one_more(lower.params[: order - 1]), most=1)
     if ends and not _settled(ends, bound, problem):
@@ -157,14 +159,6 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
     if not ends or not _settled(ends, bound, problem):
         ends += fitted(best_starts(structure, problem, roots(order), most=2) + nested)
     return _best([*ends, Fit(structure, np.zeros(0), np.inf, False)])
-
-
-def _by_response(order: int, delayed: bool, problem: Problem, response: FrequencyResponse) -> list[np.ndarray]:
-    """Return the initial parameters that the frequency response gives; none if it is not rich enough."""
-    if not response.rich:
-        return []
-    found = fit_rational(response, problem.fine, order, delayed=delayed)
-    return [np.append(logs_from_roots(found.poles), [np.log(max(found.delay, _DELAY * problem.fine))] * delayed)]
 
 
 def _settled(ends: Sequence[Fit], bound: float, problem: Problem) -> bool:

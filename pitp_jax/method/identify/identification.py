@@ -5,7 +5,7 @@
     minimise  sum over observed samples of (y - y_model)^2     (variable projection, whole records, float64)
 
 Steps: initial states (`beginnings`), the measured frequency response (`frequency_response`), starts from it by
-SciPy (`rational_fit`) or from ARX models (`starts`), order, delay and hold together by held-out blocks
+optimistix (`frequency_fit`) or from ARX models (`starts`), order, delay and hold together by held-out blocks
 (`candidates`), and the chosen model in physical units (`order_fit`). Poles are stable by construction (`linear_ode`).
 """
 

@@ -1,4 +1,4 @@
-"""Fit poles, zeros and a delay to the frequency response: starts of a search, claims on zeros or on a resonance.
+"""Fit poles, zeros and a delay to the frequency response: what a claim on zeros or a resonance needs.
 
     G(s) = e^{-s tau} sinc^2(w h / 2) (b_0 + ... + b_m s^m) / prod (s^2 + 2 z w s + w^2) [(s + c)],    s = j w
     minimise  sum_k | G(j w_k) - G_k |^2 / s_k^2,    s_k: its standard error, at least 2 % of |G_k|
@@ -20,7 +20,7 @@ from .frequency_response import FrequencyResponse
 from .linear_ode import logs_from_roots, poles, polynomial
 
 PEAK = 0.5**0.5  # damping below which a pole pair has a resonance peak
-_DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
+DELAYS = np.geomspace(0.5, 45.0, 8)  # samples: starting values of the delay
 
 
 class Lines(NamedTuple):
@@ -106,34 +106,35 @@ def needs_resonance(response: FrequencyResponse, dt: float) -> bool:
 
 
 def fit_rational(
-    response: FrequencyResponse, dt: float, order: int, zeros: int = 0, *, delayed: bool = True, least: float = 1e-3
+    response: FrequencyResponse, dt: float, order: int, zeros: int = 0, *, least: float = 1e-3
 ) -> Rational:
     """Fit `order` poles, `zeros` zeros and a delay; `least` is the smallest damping ratio of a pole pair."""
     lines = Lines.of(response, dt)
     step = lines.unit * dt
 
     def damped(p):
-        logs = p[:order].copy()
+        logs = p[:-1].copy()
         for k in range(0, order - 1, 2):
             logs[k] = max(logs[k], np.log(2 * least) + logs[k + 1] / 2)
         return logs
 
     def fitted(p):
-        return projected(lines, damped(p), float(p[order:].sum()) * step, zeros)
+        return projected(lines, damped(p), p[-1] * step, zeros)
+
+    def misfit(p):
+        return fitted(p)[0]
 
     def begin(late, origin):
         roots = equation_error(lines, order, late * step, zeros=zeros, origin=origin)
         logs = logs_from_roots(np.append(roots, [-1.0] * (order - len(roots))))
-        return np.clip(np.append(logs, [late] * delayed), low + 1e-6, high - 1e-6)
+        return np.clip(np.append(logs, late), low + 1e-6, high - 1e-6)
 
-    high = np.append(np.full(order, 16.0), [2 * _DELAYS[-1]] * delayed)
-    low = np.append(-high[:order], [0.0] * delayed)
+    low, high = np.append(np.full(order, -16.0), 0.0), np.append(np.full(order, 16.0), 2 * DELAYS[-1])
     fits = []
     for origin in (False, True)[: 1 + (zeros > 0)]:
-        starts = [begin(d, origin) for d in (0.0, *_DELAYS)[: 1 + delayed * len(_DELAYS)]]
-        start = min(starts, key=lambda p: float(np.sum(fitted(p)[0] ** 2)))
-        fits.append(least_squares(lambda p: fitted(p)[0], start, bounds=(low, high), max_nfev=40, x_scale="jac"))
+        start = min((begin(d, origin) for d in (0.0, *DELAYS)), key=lambda p: float(np.sum(misfit(p) ** 2)))
+        fits.append(least_squares(misfit, start, bounds=(low, high), max_nfev=40, x_scale="jac"))
     fit = min(fits, key=lambda f: f.cost)
     found = np.roots(fitted(fit.x)[1][::-1])
     error = float(np.sqrt(2 * fit.cost / len(lines.s)))
-    return Rational(error, lines.unit * poles(damped(fit.x)), lines.unit * found, float(fit.x[order:].sum() * dt))
+    return Rational(error, lines.unit * poles(damped(fit.x)), lines.unit * found, float(fit.x[-1] * dt))
