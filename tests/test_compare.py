@@ -243,6 +243,12 @@ def _model(linear, bounded, factors=(1.0, 1.0, 1.0), encoder=None):
     return Fitted(changed, Origin(training={"errors": {"sine": [1.0, 0.3]}}))
 
 
+def test_models_of_unknown_error_are_not_said_to_be_equal(linear, bounded):
+    one, two = (replace(_model(linear, bounded, f), origin=Origin(level=np.inf)) for f in ((1.0,) * 3, (1.3, 1.0, 1.0)))
+    rows = [r for r in pitp.compare(one, two).rows if "free runs" in r.what]
+    assert [r.differs for r in rows] == [None]
+
+
 def test_responses_of_linear_models_are_those_of_the_closed_form(linear, bounded):
     """x = U^2 / a0, dF/dx = a0, w = sqrt(a0 / a2), zeta = a1 / (2 sqrt(a0 a2)); 1.3 times as stiff is seen in each."""
     one, two = _model(linear, bounded), _model(linear, bounded, (1.3, 1.0, 1.0))

@@ -341,6 +341,9 @@ def test_what_no_voltage_holds_is_refused_and_exported_without_a_controller(tmp_
     for seconds in (None, 0.3):
         with pytest.raises(BadInput, match="no voltage in the model's range holds"):
             pitp.pi_gains(leaky, time_constant=seconds)
+    for dt in (0.0, -1e-3, np.nan):
+        with pytest.raises(BadInput, match="dt .* is not a positive number"):
+            pitp.pi_gains(actuator(), dt)
     pitp.export_c(leaky, tmp_path / "c", time_constant=np.inf)
     assert f"pitp_jax {pitp.__version__}" in (tmp_path / "c" / "pitp_model.h").read_text()
     made, target = Exported(tmp_path / "c", 2), np.zeros((300, 3))

@@ -123,7 +123,8 @@ def test_bad_requests():
         protocol("ring")
     with pytest.raises(ValueError, match="no protocol"):
         protocol("cone", "dance")
-    with pytest.raises(ValueError, match="fewer than two"):
-        sine(1.0, 0.0, 1000.0, 1.0, 1.0)
+    for seconds in (0.0, np.nan):
+        with pytest.raises(ValueError, match="fewer than two"):
+            sine(1.0, seconds, 1000.0, 1.0, 1.0)
     with pytest.raises(ValueError, match="negative"):
         sine(1.0, 1.0, 1000.0, 1.0, 1.0, rise=-1.0)

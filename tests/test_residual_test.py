@@ -52,3 +52,12 @@ def test_the_state_space_has_the_poles_and_the_motion():
     assert np.abs(np.linalg.eigvals(some(system.A))) == pytest.approx([MODE[0]] * 2, rel=1e-3)
     run = of_kind(tuple, lsim(system, DRIVE, TIME))[1]
     np.testing.assert_allclose(run, -response(*MODE), atol=2e-3)
+
+
+@pytest.mark.parametrize("samples", [64, 65, 70])
+def test_the_shortest_recordings_are_tested_as_well(samples):
+    x = response(*MODE, drive=10 * DRIVE)[::20][:samples]
+    found = identify([Record("r", TIME[::20][:samples], 10 * DRIVE[::20][:samples], x)], order=2, input_map="linear")
+    assert np.isfinite(found.residuals.own).all() and found.residuals.own[found.residuals.lag == 0] == pytest.approx(
+        1.0
+    )

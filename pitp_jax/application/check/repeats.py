@@ -22,7 +22,7 @@ class Repeat:
 
 
 def find_repeats(records: Sequence[Record], directions: Mapping[str, float]) -> list[Repeat]:
-    """Group records with the same input; each record is in one group at most, and all pairs of 400 are compared."""
+    """Group records with the same input; each record is in one group at most, and only the first 400 are compared."""
     others, groups = list(records[:400]), []
     while others:
         first = others.pop(0)

@@ -127,7 +127,7 @@ def _behaviour(
 
 
 def own_error(fitted: Fitted) -> float:
-    """Return the model's rms error on its training recordings, % of range; nan if unknown."""
+    """Return the model's rms error on its training recordings, % of range; nan or infinite if unknown."""
     training = fitted.origin.training or {}
     errors = [pair[1] for pair in training.get("errors", {}).values()]
     if errors:
@@ -183,7 +183,7 @@ def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
     apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))
     what = "free runs of one sweep: rms difference"
     known = percent * float(np.hypot(one.own, two.own))
-    if np.isnan(known):
+    if not known < np.inf:
         return Difference(what, "reference", apart, "% of range", None, None if apart else False)
     what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
     return Difference(what, "reference", apart, "% of range", None, apart > known)

@@ -24,7 +24,7 @@ def smooth_step(s: np.ndarray) -> np.ndarray:
 
 
 def _clock(duration: float, rate: float) -> np.ndarray:
-    count = round(max(duration, 0.0) * max(rate, 0.0))
+    count = round(max(0.0, duration) * max(0.0, rate))  # 0 for nan
     if count < 2:
         raise ValueError(f"duration {duration} s at {rate} Hz gives fewer than two samples; increase one of them")
     return np.arange(count) / rate

@@ -157,7 +157,7 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
     if len(seen) and seen.min() > 1e9 and seen.max() < 4e9:  # s since 1970: the years 2001 to 2096
         return None
-    # 0, 1, 2, ... may count samples, ms or s; steps of 0.1 or of less than 1e-6 are certainly not seconds
+    # 0, 1, 2, ... may count samples, ms or s; steps of 0.1 or more, or of less than 1e-6, are certainly not seconds
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
     if not (whole or step >= 0.1 or 0 < step < 1e-6):
         return None

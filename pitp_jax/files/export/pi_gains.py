@@ -81,11 +81,12 @@ def pi_gains(model: Model | Fitted, dt: float | None = None, time_constant: floa
         True
     """
     model = model_of(model)
+    for name, given in (("dt", dt), ("--time-constant", time_constant)):
+        if given is not None and not given > 0:
+            raise BadInput(f"{name} {given} is not a positive number of seconds")
     dt = dt or model.dt
-    if time_constant is not None and np.isposinf(time_constant):
+    if time_constant == np.inf:
         return PIGains(0.0, 0.0, np.inf, np.inf, 1.0)
-    if time_constant is not None and not time_constant > 0:
-        raise BadInput(f"--time-constant {time_constant:g} is not a positive number of seconds")
     tuned, slowest = tuning(model, dt), _slowest(model.physical_coefficients)
     if time_constant is None:
         # below the limit, because a model is not the actuator

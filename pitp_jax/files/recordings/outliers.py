@@ -58,7 +58,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     y = displacement[seen]
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
-    # over 7 levels the resolution of the sensor moves, and its extremes are not limits
+    # a motion over at most 7 levels is the sensor's resolution, and its extremes are no limits
     if len(moving) < _FEWEST_VALUES or has_few(y, 7):
         return Masked(displacement)
     # only nonzero steps, because a quantised sensor mostly repeats its value

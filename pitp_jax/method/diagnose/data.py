@@ -28,7 +28,7 @@ from ..simulate.prediction import at_rate, begin, predict, reaches
 from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
 
-THINNED_SAMPLES, COARSEST = 6_000, 16.0  # kept of all records; at least, a period of the fastest mode or input
+THINNED_SAMPLES, COARSEST = 6_000, 16.0  # left of all records; of a period of the fastest mode or input, at least
 _ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
 STEPS = 4  # steps a thinned sample of a linear core, at most
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks

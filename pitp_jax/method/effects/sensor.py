@@ -35,8 +35,8 @@ def _second_order(p, y, dt):
 
 def _across(p, y, dt):
     """Compute x = y + w/2 sgn(y') from the reading: the play is crossed at every reversal of a smooth motion."""
-    # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample
-    # a motion that crosses it within 50 samples has one direction
+    # the sign of y' smoothed by tanh, because no motion could cross the whole play within a sample; one that crosses it
+    # within 50 samples has one direction
     least = jnp.maximum(p.width, 1e-12) / (50 * dt)
     return y + p.width / 2 * jnp.tanh(slope(y, dt) / least)
 

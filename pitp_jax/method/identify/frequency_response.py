@@ -67,7 +67,7 @@ def _local(force: np.ndarray, output: np.ndarray, dt: float, most: int) -> Seque
     u, y = np.fft.rfft(force)[1:], np.fft.rfft(output)[1:]
     last = len(u) - 2 * _HALF - 2
     middle = np.unique(np.geomspace(_HALF, max(last, _HALF + 1), 4 * most).astype(int))
-    # without a taper, the jump from end to start looks like excitation
+    # a taper over a fifth of the record: without it, the jump from end to start looks like excitation
     tapered = np.fft.rfft(force * tukey(len(force), 0.2))[1:]
     energy = np.convolve(np.abs(tapered) ** 2, np.ones(2 * _HALF + 1), "same")[middle]
     # a line below this part of the largest local energy is not excited

@@ -55,12 +55,12 @@ def residual_test(error: OutputError) -> ResidualTest:
     The lags cover two periods of the slowest oscillation (or time constant).
     """
     problem = error.problem
-    period = 2 * np.pi / max(float(np.abs(error.poles).min()), 1 / problem.seconds)
-    shortest = min(len(d) for d in problem.drive)
+    period = 2 * np.pi / max(np.abs(error.poles).min(), 1 / problem.seconds)
+    shortest = min(map(len, problem.drive))
     spacing = int(np.clip(2 * period / problem.dt / _LAGS, 1, max(shortest // (4 * _LAGS), 1)))
     far = spacing * _LAGS
     # e and u may be correlated for long
-    long = min(20 * far, shortest // 2)
+    long = max(far, min(20 * far, shortest // 2))
     sums = np.zeros((3, 2 * long + 1))
     energy = moved = 0.0
     for residual, force, weight in zip(error.solved.residuals, problem.forces, problem.weight, strict=True):

@@ -78,7 +78,7 @@ class HeldOut:
 
 
 def _held(record: Record, place: int) -> np.ndarray:
-    """Mark the held-out samples: of nine blocks every second one of three, in every other record every third."""
+    """Mark the held-out samples: the second of every three of nine blocks, in every other record the third."""
     return np.arange(record.samples) * 9 // record.samples % 3 == 1 + place % 2
 
 
