@@ -190,8 +190,9 @@ def draw(name: str, runs: dict) -> None:
 def numbers(row: dict) -> str:
     """Return the physical parts of a model, as `pitp info` prints them."""
     lines = [line.strip() for line in row["parts"] if re.match(r"\s*(with|a\d|mode)\b", line)]
-    # the value and the unit of a coefficient stand apart from its standard error
-    return "; ".join(re.sub(r"^(a\d) +(\S+) +\S+ +", r"\1 \2 ", re.sub(r" 1(?=,|$)", "", line)) for line in lines)
+    # between value and unit of a coefficient stands its standard error, if it has one
+    plain = [re.sub(r" 1(?=,|$)", "", line) for line in lines]
+    return "; ".join(re.sub(r"^(a\d) +(\S+) +([\d.e+-]+ +)?", r"\1 \2 ", line) for line in plain)
 
 
 def joined(values) -> str:
