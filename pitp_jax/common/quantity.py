@@ -122,7 +122,7 @@ class Units:
     @property
     def force_factor(self) -> float:
         """Return the value in base units (V^2, or V for a linear input) of one shown unit of the equation's input."""
-        return self.input.factor ** (1 + self.squared)
+        return self.input.factor ** (2 if self.squared else 1)
 
     def coefficient(self, i: int) -> tuple[float, str]:
         """Return the factor from base units to the shown unit of a_i in sum a_i x^(i) = F, and that unit."""

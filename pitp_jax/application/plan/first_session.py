@@ -141,7 +141,7 @@ def in_order(
         bounds[1:] = limits.farthest / np.maximum(_farther(recordings, limits, recorded)[1:], 1.0)
     ordered = []
     for k, r in enumerate(recordings):
-        voltage = (-1.0) ** (alternate * k) * r.voltage
+        voltage = -r.voltage if alternate and k % 2 else r.voltage
         ordered.append(replace(r, name=f"{k + 1:02d}_{r.name}", voltage=voltage, go_on=float(bounds[k])))
     return tuple(ordered)
 

@@ -183,7 +183,9 @@ def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tupl
     """Read input and output as sign and magnitude where a bit of their registers is the sign."""
     ports = [(q, c.place) for q, c in chosen.items() if q != "time" and c.place is not None]
     shared = next((bit for _, place in ports if (bit := sign_bit(values[place])) is not None), None)
-    for q, place in ports * (shared is not None):
+    if shared is None:
+        return values, chosen
+    for q, place in ports:
         bit = sign_bit(values[place], shared)
         if bit is not None:
             values = values | {place: signed(values[place], bit)}

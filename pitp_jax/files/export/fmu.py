@@ -149,7 +149,7 @@ def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write the test vector as FMI cross-check files, a README, and a script that checks the FMU."""
     test, name = plan.test, values["id"]
     time = np.arange(len(test.voltage)) * plan.dt
-    power = "**2" * plan.model.input_map.one_sided
+    power = "**2" if plan.model.input_map.one_sided else ""
     values |= {"force_error": f"u{power} - planned{power}"}
     fill("check_fmu.txt", values, folder / "check.py")
     words = ["target", *(f"target_{i}" for i in range(1, plan.model.order + 1))]

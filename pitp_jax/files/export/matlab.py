@@ -44,7 +44,7 @@ def export_matlab(
 
 def _write_check(plan: Plan, folder: Path, values: dict[str, str]) -> None:
     """Write a README, and a MATLAB function that checks the functions with the test vector."""
-    test, power = plan.test, " .^ 2" * plan.model.input_map.one_sided
+    test, power = plan.test, " .^ 2" if plan.model.input_map.one_sided else ""
     rows = slice(test.every - 1, None, test.every)
     columns = {"voltage": test.voltage, "displacement": test.displacement, "planned": test.planned}
     values |= {name: ";\n".join(map(repr, column[rows].tolist())) for name, column in columns.items()}

@@ -55,14 +55,15 @@ class Writer:
             return "true" if value else "false"
         value = float(value)
         if not np.isfinite(value):
-            return self.call("infinity", ["-" * (value < 0)])
+            return self.call("infinity", ["-" if value < 0 else ""])
         if self.single:
             top = float(np.finfo(np.float32).max)  # beyond float's range a limit stays a number
             text = str(np.float32(min(max(value, -top), top)))
         else:
             text = repr(value)
         text = text if any(c in text for c in ".e") else text + ".0"  # 1 / 2 of two integers is 0 in C
-        text += "f" * self.single
+        if self.single:
+            text += "f"
         return f"({text})" if value < 0 else text  # after a minus sign it would read as a decrement
 
     def body(self, program: Program, inputs: list[str], outputs: list[str]) -> list[str]:
@@ -125,7 +126,8 @@ class Writer:
             return pattern.format(*args)
         if self.language == "c":
             op = _NAMES.get(op, op)
-            op += "f" * (self.single and op not in _HELPERS)  # functions of libm have float variants
+            if self.single and op not in _HELPERS:  # functions of libm have float variants
+                op += "f"
         return f"{op}({', '.join(args)})"
 
     def _line(self, name: str, text: str, truth: bool) -> str:

@@ -199,13 +199,13 @@ def _stops(joint: Joint, rows: Mapping[str, Parameter]) -> list[Change]:
     unit = 180 / math.pi if joint.hinge and joint.degrees else 1.0
     new = f"{number(unit * low, 6)} {number(unit * high, 6)}"
     old = "" if joint.limits is None else " ".join(number(unit * end) for end in joint.limits)
-    text = f"range: {old or 'none'} -> {new}{' degrees' * (unit != 1)}"
+    text = f"range: {old or 'none'} -> {new}{' degrees' if unit != 1 else ''}"
     return [Change("joint", "range", old, new, text), *_switched_on(joint, "joint", "limited")]
 
 
 def _switched_on(joint: Joint, element: str, attribute: str) -> list[Change]:
     """Return the change that switches a limit on where its range alone does not."""
-    return [Change(element, attribute, "", "true", "")] * (not joint.autolimits)
+    return [] if joint.autolimits else [Change(element, attribute, "", "true", "")]
 
 
 def tag_of(joint: Joint, change: Change) -> Tag:

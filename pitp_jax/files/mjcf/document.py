@@ -95,7 +95,7 @@ def _start_tags(file: Path, text: bytes, around: tuple[str, ...]) -> list[Tag]:
     def begin(name: str, attributes: dict[str, str]) -> None:
         start = parser.CurrentByteIndex
         # the root of an included file is not an element of the model
-        within = *around, *names[bool(around) :]
+        within = *around, *(names[1:] if around else names)
         tags.append(Tag(file, name, attributes, within, start, _tag_end(text, start)))
         names.append(name)
 

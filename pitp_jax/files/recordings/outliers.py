@@ -58,7 +58,7 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     y = displacement[seen]
     steps = np.abs(np.diff(y))
     moving = steps[steps > 0]
-    # a motion over at most 7 levels is the sensor's resolution, and its extremes are no limits
+    # a motion over at most 7 levels is the sensor's resolution: its extremes are not the ends of the range
     if len(moving) < _FEWEST_VALUES or has_few(y, 7):
         return Masked(displacement)
     # only nonzero steps, because a quantised sensor mostly repeats its value

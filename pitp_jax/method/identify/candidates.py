@@ -146,10 +146,10 @@ def _fitted(structure: Structure, problem: Problem, by_response, roots, earlier:
     def fitted(starts) -> list[Fit]:
         return [_short(start, structure, problem) for start in starts]
 
-    start = by_response.get((order, delayed))
-    if start is not None and delayed:
-        start = np.append(start[:-1], max(start[-1], short))
-    ends, nested = fitted([start] * (start is not None)), []
+    known_starts = [by_response[order, delayed]] if (order, delayed) in by_response else []
+    if delayed:
+        known_starts = [np.append(start[:-1], max(start[-1], short)) for start in known_starts]
+    ends, nested = fitted(known_starts), []
     if prompt is not None:
         nested.append(np.append(prompt.params, short))
     if lower is not None:

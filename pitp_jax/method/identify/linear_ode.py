@@ -238,7 +238,7 @@ def _inputs(drive: np.ndarray, square: bool, hold: str, settled, heads: np.ndarr
 
     A column holds the input from the sample before; a record's first column is 0.
     """
-    force = drive ** (1 + square)
+    force = drive**2 if square else drive
     level = np.repeat(np.where(settled, force[heads], 0.0), np.diff(heads, append=len(drive)))
     terms = [force[:-1] - level[:-1]]
     if hold != "zoh":

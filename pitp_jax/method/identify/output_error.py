@@ -89,7 +89,7 @@ class Problem:
     @property
     def forces(self) -> list[np.ndarray]:
         """Return the force of every record, V^2 or V, shapes (T_r,)."""
-        return [drive ** (1 + self.square) for drive in self.drive]
+        return [drive**2 if self.square else drive for drive in self.drive]
 
     @property
     def samples(self) -> float:
@@ -171,7 +171,7 @@ def build_problem(records: Sequence[Record], input_map: str, beginnings: Sequenc
     weight = tuple(r.observed.astype(float) for r in records)
     scale = float(np.sqrt(sum((m**2).sum() for m in moved) / max(sum(w.sum() for w in weight), 1.0))) or 1.0
     square, dt = input_map == "square", records[0].dt
-    band = force_band([r.voltage ** (1 + square) for r in records], dt)
+    band = force_band([r.voltage**2 if square else r.voltage for r in records], dt)
     free = sorted({b.group for b in beginnings if b.free})
     return Problem(
         tuple(r.voltage for r in records), tuple(m / scale for m in moved), weight, tuple(beginnings),
@@ -254,7 +254,7 @@ class OutputError:
             if pole.imag < 0:
                 continue
             # a Re e^pt + b Im e^pt = Re((a - jb) e^pt), whose derivative by p is t times as large
-            turn = np.array([1, 1j])[: 1 + (pole.imag > 0)]
+            turn = np.array([1, 1j] if pole.imag else [1])
             mode, size = (v[..., at : at + len(turn)] for v in (columns, sizes))
             at += len(turn)
             slopes[: self.structure.moved] += np.real(move[:, None] * (size @ turn.conj() * time * (mode @ turn)))
