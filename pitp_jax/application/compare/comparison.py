@@ -21,7 +21,8 @@ def compare(a, b, *, names: tuple[str, str] = ("A", "B")) -> Comparison:
         names: of the two.
 
     Returns:
-        every quantity of both with the interval of its difference, and whether it differs.
+        every quantity of both (models: coefficients, resonances, free runs; recordings: delay, size and shape of the
+        motion) with the 95 % interval of its difference, and whether it differs.
 
     Raises:
         BadInput: two things of different kinds, or of a kind that cannot be compared.

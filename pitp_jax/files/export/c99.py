@@ -49,10 +49,10 @@ def export_c(
         time_constant: of the closed loop of the PI steps, s; None: the default of `pi_gains`.
 
     Returns:
-        Error due to a rate other than the model's, e_rms in %; None at its own rate.
+        Error due to a rate other than the model's, rms in % of the output's range; None at its own rate.
 
     Raises:
-        BadInput: with nothing written.
+        BadInput: the folder exists, an invalid rate or precision, a model that it cannot export; nothing is written.
 
     Examples:
         >>> pitp.export_c(model, folder / "c")  # doctest: +SKIP

@@ -57,14 +57,18 @@ def export_fmu(
     """Write `pitp_<name>.fmu` into a new folder: C sources, and a binary on Linux with a C compiler.
 
     Args:
-        model: as for `export_c`; folder, name, rate and precision likewise.
+        model: identified or trained, with any effects.
+        folder: created; it must not exist.
+        name: of the files, `pitp_<name>`.
+        rate: steps per second; None: the model's own.
+        precision: "double" or "single".
         fmi: version of the interface, 2 or 3.
 
     Returns:
-        error due to a rate other than the model's, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, rms in % of the output's range; None at its own rate.
 
     Raises:
-        BadInput: with nothing written.
+        BadInput: the folder exists, an invalid rate or precision, a model that it cannot export; nothing is written.
 
     Examples:
         >>> pitp.export_fmu(model, folder / "fmu", fmi=3)  # doctest: +SKIP

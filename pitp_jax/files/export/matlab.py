@@ -24,10 +24,10 @@ def export_matlab(
         model: as for `export_c`; folder, name and rate likewise.
 
     Returns:
-        error due to a rate other than the model's, e_rms in %; None at its own rate.
+        error due to a rate other than the model's, rms in % of the output's range; None at its own rate.
 
     Raises:
-        BadInput: with nothing written.
+        BadInput: the folder exists, an invalid rate or precision, a model that it cannot export; nothing is written.
 
     Examples:
         >>> pitp.export_matlab(model, folder / "matlab")  # doctest: +SKIP

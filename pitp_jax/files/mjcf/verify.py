@@ -131,16 +131,17 @@ def verify_mjcf(
     Args:
         records: of the robot, angles in rad or positions in m, commands in the unit of ctrl.
         mjcf: the changed file.
-        joint, actuator: with the recorded command and motion.
-        before: the file as it was.
+        joint: whose motion was recorded.
+        before: the file as it was; None: only the changed file is simulated.
         held_out: recordings that the diagnosis did not use.
+        actuator: that was given the recorded command; None: the only one of the joint.
 
     Returns:
-        gaps in % of range.
+        per recording the rms of simulated minus recorded motion, % of the recorded range, before and after.
 
     Raises:
-        BadInput: MuJoCo is not installed or refuses a file; no such joint; a held-out recording that the diagnosis
-            used.
+        BadInput: MuJoCo is not installed or refuses a file; no such joint; a held-out recording that the changed file
+            lists as used by the diagnosis.
 
     Examples:
         >>> found = pitp.verify_mjcf(robot, "gap/arm_identified.xml", "elbow", before="arm.xml")  # doctest: +SKIP

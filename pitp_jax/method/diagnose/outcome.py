@@ -20,20 +20,25 @@ class Diagnosis:
 
     Attributes:
         verdict: "explained", "partly", "no_gap" or "unknown".
-        effects: reported effects, most important first; empty unless explained or partly.
+        effects: reported effects (parts beyond a linear equation, such as friction or a delay), most important first;
+            empty unless explained or partly.
         equivalent: effects that these data do not separate from effects[0].
         added: effects of the augmented model beyond the nominal, with form and parameters.
-        budget, gap, ranking, where, next_experiment: see docs/contract.md.
+        gap: errors of the nominal and of the returned model, % of range, and the fraction closed.
+        budget: fractions of the nominal's error energy by cause: parameters, effects, explainable, not explainable.
+        ranking: effects added alone to the linear model, with their errors on recordings left out.
+        where: fractions of the error by recording, frequency, time, displacement, velocity and voltage.
+        next_experiment: a voltage to record, which separates an effect from `equivalent` ones; or None.
         probability: per effect, P that the best set without it has a larger error.
         fitted, heldout: record names; every record is predicted by a fit without it (with fewer than four records,
             or one that shows the effect, every part by a fit without that part).
         folds: records left out together, or in parts.
-        shift: in a refit, the refitted coefficients over the given ones, shape (n + 1,).
+        shift: in a refit, every refitted coefficient divided by the given one, shape (n + 1,) for order n.
         traces: every record with the outputs of the nominal and the returned model.
         notes: one line for everything left out, not tried or not reported.
         model: the best model that beats the nominal out of fold, otherwise the nominal.
         handed_back: the returned model's parts beyond the nominal.
-        parts: the same with parameters, intervals and certainty, under every verdict.
+        parts: the parts of `handed_back` with parameters, intervals and certainty, under every verdict.
         refit: "asked", "automatic" or "no": whether the nominal's coefficients were refitted.
         reason: why the verdict is "unknown", one sentence.
         term: an unnamed force as an equation found in the data.

@@ -36,20 +36,20 @@ def discrete_inverse(
     """Compute the voltage (V) of every time step between the states of a simulation, shape (time - 1,).
 
     Args:
-        model: as rolled out.
-        states: shape (T, n + K).
+        model: the one whose `rollout` gave the states.
+        states: scaled displacement, its n - 1 derivatives and K memories, as `rollout` returns them, shape (T, n + K).
         dt: sampling interval, s.
         first: u_0 in V if known (foh of order 1 without memory needs it, because its only row does not fix the
-            alternating mode).
+            voltage error that changes its sign at every sample).
         sweeps: Gauss-Newton iterations (foh).
 
     Returns:
-        Film voltage, equal to the input if the model has no lag (otherwise see `drive.undo`).
+        Voltage behind the electrode's lag: the input if the model has no lag (otherwise see `drive.undo`).
         zoh: V_0 ... V_{T-2} held over each step; foh: V_0 ... V_{T-2}, the last sample's voltage left out.
 
     Raises:
-        BadInput: the model has effects (use `feedforward`), takes substeps (tokens change inside a sample; invert on
-            the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
+        BadInput: the model has effects (use `feedforward`), takes substeps (coefficients change inside a sample; invert
+            on the substep grid instead), or its voltage is band-limited (one sample then acts on sixteen steps).
 
     Examples:
         >>> from pitp_jax.method.simulate.decoder import rollout

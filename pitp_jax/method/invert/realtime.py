@@ -47,7 +47,7 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
     """Compile the step from a wanted [y, ..., y^(n)] (m/s^i, from 0 V) to the voltage before limits (V).
 
     Args:
-        model: identified or trained, without effects.
+        model: identified or trained, without effects (parts beyond its equation, such as friction or a delay).
         dt: sampling interval, s.
 
     Returns:
@@ -66,10 +66,10 @@ def inverse_step(model: Model | Fitted, dt: float) -> CompiledStep:
 
 
 def decoder_step(model: Model | Fitted, dt: float) -> CompiledStep:
-    """Compile the step from a voltage (V) to the displacement (base unit, from 0 V) at the same sample.
+    """Compile the step from a voltage (V) to the displacement (base unit such as m, 0 at 0 V) at the same sample.
 
     Args:
-        model: identified or trained, without effects.
+        model: identified or trained, without effects (parts beyond its equation, such as friction or a delay).
         dt: sampling interval, s.
 
     Returns:

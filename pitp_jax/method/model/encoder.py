@@ -103,6 +103,9 @@ def _nets(nets: Sequence[tuple[_Net, list[int]]], way: Way) -> Callable[[Rows], 
 class CompactEncoder(AbstractEncoder):
     """Small nets with low-order polynomials; each coefficient (token) depends on few inputs (preset `default`).
 
+    Inputs are scaled: the state S = [x, x', ..., x^(n-1)], the memories m, of which m_fast are the fast ones. Outputs
+    set the tokens of sigma_off + sum_i sigma_i x^(i) = F; spring, damping and past are nets.
+
         sigma_0, sigma_n           = spring(x)                    + sum_{k=1}^{3} w_k x^k
         sigma_1 ... sigma_{n-1}    = damping(S, m)                + linear and quadratic in S
         sigma_off                  = past(x, m_fast)              + sum_k (a_k + b_k x + c_k x^2) m_k
@@ -124,8 +127,9 @@ class CompactEncoder(AbstractEncoder):
 
         prod_i s(2 - |S_i - c_i| / h_i)    s(t) = t^2 (3 - 2 t) on [0, 1];  c: centre, h: quarter of the bounds' width
 
-    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without one
-    no token can express a remaining force at x = 0), `frugal`, `remainder`, bounds of shape (2, features).
+    Args at init: order n, number of memories, width of the hidden layers, whether there is an offset token (without
+    one no token can express a remaining force at x = 0), `frugal`, `remainder`, bounds: lowest and highest trained
+    value of every S and m, shape (2, features).
     """
 
     spring: _Net

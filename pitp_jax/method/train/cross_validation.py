@@ -61,7 +61,7 @@ def cross_validate(
     """Train once without each record that moves, and predict this record.
 
     Args:
-        nominal: the initial model, or a function that identifies one on given records.
+        nominal: the initial model, or a function that identifies one on given records, called once per record left out.
         records: the training records.
         model: trained on all of them, for the fitted errors.
         key, options: as for `train`.
@@ -70,7 +70,7 @@ def cross_validate(
         BadInput: fewer than two records move.
 
     Returns:
-        per record its error when fitted and when left out.
+        per record the error of its free run, e_rms in % of its range, fitted and left out.
 
     Examples:
         >>> left_out = pitp.cross_validate(nominal, records, model, key=jax.random.key(0))  # doctest: +SKIP

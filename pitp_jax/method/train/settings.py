@@ -49,15 +49,20 @@ class Settings:
         offset: whether the compact encoder has an offset token.
         few: below this number of records with a squared input, the compact encoder is smaller (`frugal`): damping
             independent of memories, one coupling for all tokens.
-        memory: "fading", "elapsed" or "none".
-        memories: number of fading memories, log-spaced from 2 / omega_0 to the longest record, or to a quarter of the
-            nominal's stored record if that is longer than training (`creep_balance`).
+        memory: "fading" (the displacement behind low passes), "elapsed" (the time since the start) or "none".
+        memories: number of fading memories, log-spaced from 2 / omega_0 (the nominal's natural frequency, rad/s) to the
+            longest record, or to a quarter of the nominal's stored record if that is longer than training
+            (`creep_balance`).
         ringing: whether to test for a second mass along the motion (`second_resonance`).
         drive: "electrode" (a learned lag before the square, if there is a square, initially 0.1 / omega_0) or "direct".
         parts: further learned parts between amplifier and sensor, initially 0.1 / omega_0: "delay", "sensor_lag".
         scaling: "rms" (training rms of each derivative) or "paper" (eq. 3).
         difference: "stencil" (8th order) or "central" (eq. 8).
-        epochs [n], decay_epochs [r], rate [lr], decay_rate [c], widen [a], narrow [b], penalty [alpha, beta]: stages.
+        epochs [n], rate [lr]: epochs and learning rate of the first stage; every stage multiplies them by decay_epochs
+            [r] and decay_rate [c].
+        widen [a], narrow [b]: by these a stage multiplies the upper and the lower bound of every coefficient, which
+            begin at the nominal's.
+        penalty [alpha, beta]: weights of a coefficient above its upper and below its lower bound.
         stages: largest number of stages.
         tolerance [epsilon]: another stage follows only if a stage lowers the physics residual by this fraction.
         huber: width of SmoothL1 in units of the largest force.
