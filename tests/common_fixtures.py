@@ -7,6 +7,7 @@ from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import jaxtyping
 import numpy as np
 import pytest
 import typecheck
@@ -15,8 +16,8 @@ from jaxtyping import install_import_hook
 
 _SHAPED, _PLAIN = typecheck.modules("pitp_jax")
 beartype_packages(_PLAIN, conf=typecheck.CONF)
-with pytest.MonkeyPatch.context() as _patch, install_import_hook(_SHAPED, "typecheck.check"):
-    _patch.setattr("jaxtyping.jaxtyped", typecheck.remembering)
+jaxtyping.jaxtyped = typecheck.remembering  # for good: inner functions are decorated whenever the outer one runs
+with install_import_hook(_SHAPED, "typecheck.check"):
     import diagnosis_cases
     import equinox as eqx
 

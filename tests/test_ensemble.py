@@ -55,10 +55,12 @@ def arrays(model):
     return jax.tree.leaves(eqx.filter(model, eqx.is_inexact_array))
 
 
-def runs(ensemble, records):
-    """Displacements of every member for every record, each predicted alone; shape (members, T) a record."""
-    found = [predict(m, records) for m in ensemble.models]
-    return [np.stack([f[k].displacement for f in found]) for k in range(len(records))]
+@pytest.fixture(scope="module")
+def alone(plant, ensemble):
+    """Displacements of every member, predicted alone, shape (members, T), and the samples that count, by record."""
+    records = plant[1] + plant[2]
+    found = zip(records, *[predict(m, records) for m in ensemble.models], strict=True)
+    return {r.name: (np.stack([p.displacement for p in own]), own[0].scored) for r, *own in found}
 
 
 def test_members_are_what_train_makes_of_their_keys(plant, ensemble):
@@ -78,39 +80,40 @@ def test_members_differ_in_trained_numbers_only(ensemble):
         assert (one.scales, one.output.polarity, one.hold) == (other.scales, other.output.polarity, other.hold)
 
 
-def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble):
+def test_the_band_is_the_formula_of_the_members_own_predictions(plant, ensemble, alone):
+    left = []
+    for r in plant[1]:
+        x, scored = alone[r.name]
+        error = np.abs((x.mean(0) - r.displacement)[scored]) / np.ptp(r.displacement)
+        left.append(np.quantile(error, np.linspace(0, 1, 2001)))  # recordings count alike
     for level in (0.5, 0.95):
-        bands = predict_band(ensemble, plant[2], level=level)
-        for band, x, r in zip(bands, runs(ensemble, plant[2]), plant[2], strict=True):
-            counts = [p.scored for p in predict(ensemble.models[0], plant[1])]
-            left = [(a.mean(0) - b.displacement)[c] / np.ptp(b.displacement) for a, b, c in
-                    zip(runs(ensemble, plant[1]), plant[1], counts, strict=True)]  # fmt: skip
-            left = [np.quantile(np.abs(e), np.linspace(0, 1, 2001)) for e in left]  # recordings count alike
-            scaled = student.ppf(0.5 + level / 2, len(left)) / normal.ppf(0.5 + level / 2)
-            floor = np.quantile(np.abs(left), level) * scaled * np.ptp(r.displacement)
-            width = np.hypot(student.ppf(0.5 + level / 2, 2) * np.sqrt(4 / 3) * x.std(0, ddof=1), floor)
+        scaled = student.ppf(0.5 + level / 2, len(left)) / normal.ppf(0.5 + level / 2)
+        for band, r in zip(predict_band(ensemble, plant[2], level=level), plant[2], strict=True):
+            x, scored = alone[r.name]
             span = np.ptp(r.displacement)
+            floor = np.quantile(np.abs(left), level) * scaled * span
+            width = np.hypot(student.ppf(0.5 + level / 2, 2) * np.sqrt(4 / 3) * x.std(0, ddof=1), floor)
             np.testing.assert_allclose(band.displacement, x.mean(0), rtol=0, atol=1e-5 * span)
             # the quantiles of the errors are kept every half percent
             np.testing.assert_allclose(band.half_width, width, rtol=5e-3, atol=1e-4 * span)
-            assert band.name == r.name and (band.scored == predict(ensemble.models[0], [r])[0].scored).all()
+            assert band.name == r.name and (band.scored == scored).all()
             assert x.std(0, ddof=1).max() > 1e-4 * span  # there is a spread to speak of
 
 
-def test_the_error_is_the_means_on_the_training_records(plant, ensemble):
-    left = [
-        np.mean((x.mean(0) - r.displacement)[p.scored] ** 2) / np.ptp(r.displacement) ** 2
-        for x, r, p in zip(runs(ensemble, plant[1]), plant[1], predict(ensemble.models[0], plant[1]), strict=True)
-    ]
+def test_the_error_is_the_means_on_the_training_records(plant, ensemble, alone):
+    left = []
+    for r in plant[1]:
+        x, scored = alone[r.name]
+        left.append(np.mean((x.mean(0) - r.displacement)[scored] ** 2) / np.ptp(r.displacement) ** 2)
     assert ensemble.error == pytest.approx(np.sqrt(np.mean(left)), rel=1e-3)
 
 
-def test_identical_members_have_no_width(plant, ensemble):
+def test_identical_members_have_no_width(plant, ensemble, alone):
     """But for the error they share."""
     model, (r,) = ensemble.models[0], plant[2]
     (band,) = predict_band(Ensemble((model,) * 4, 0.0), [r])
     np.testing.assert_allclose(band.half_width, 0, atol=1e-12)
-    np.testing.assert_allclose(band.displacement, runs(ensemble, [r])[0][0], atol=1e-5 * np.ptp(r.displacement))
+    np.testing.assert_allclose(band.displacement, alone[r.name][0][0], atol=1e-5 * np.ptp(r.displacement))
     (band,) = predict_band(Ensemble((model,) * 4, 0.01), [r])
     np.testing.assert_allclose(band.half_width, student.ppf(0.975, 3) * 0.01 * np.ptp(r.displacement), rtol=1e-6)
 

@@ -45,8 +45,9 @@ def test_a_call_like_an_earlier_one_costs_no_check():
     def plain(x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
         return x
 
-    def watched(function):
-        return lambda *args, **options: seen.append(args) or function(*args, **options)
+    def watched(value, hint):
+        seen.append(value)
+        return typecheck.check(value, hint)
 
     checked = typecheck.remembering(plain, typechecker=watched)
     for good in (ONE, ONE + 1, TWO, ONE, TWO):
@@ -89,3 +90,16 @@ def test_the_fields_of_a_dataclass_are_checked():
         assert kind(ONE, ONE).y is ONE
         with pytest.raises(TypeCheckError):
             kind(ONE, TWO)
+
+
+def test_every_item_of_a_starred_argument_and_a_forward_reference_is_checked():
+    def joined(*parts: Float[np.ndarray, " n"], size: "int | None" = None, **more: Float[np.ndarray, " n"]) -> int:
+        return len(parts) + len(more) if size is None else "all" if size is True else size  # pyright: ignore
+
+    checked = typecheck.remembering(joined, typechecker=typecheck.check)
+    assert checked(ONE, ONE + 1, other=ONE) == 3 and checked(size=7) == 7
+    for parts, options in (((ONE, TWO), {}), ((ONE,), {"other": TWO}), ((ONE, 1.0), {}), ((), {"size": "7"})):
+        with pytest.raises(TypeCheckError, match="parameters"):
+            checked(*parts, **options)
+    with pytest.raises(TypeCheckError, match="return"):
+        checked(size=True)

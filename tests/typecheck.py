@@ -7,21 +7,24 @@ one's, is not checked again. All other modules are checked by beartype alone.
 
 import dataclasses
 import inspect
-import threading
-from functools import partial, wraps
+from functools import cached_property, partial, wraps
 from importlib.util import find_spec
 from pathlib import Path
-from types import FunctionType
-from typing import Any
+from typing import Any, ParamSpecArgs, ParamSpecKwargs, get_type_hints
 
 import jax
 import jaxtyping
 import numpy as np
 from beartype import BeartypeConf, beartype
+from beartype.door import is_bearable
 from jax.core import Tracer
 
 CONF = BeartypeConf(is_pep484_tower=True, claw_is_pep526=False)  # of variables, pyright sees the types
-check = beartype(conf=CONF)
+
+
+def check(value, hint) -> bool:
+    """Return whether a value is of an annotation; beartype generates one checker for all functions that use it."""
+    return is_bearable(value, hint, conf=CONF)
 
 
 def modules(package: str) -> tuple[list[str], list[str]]:
@@ -79,37 +82,69 @@ def told(value):
     return way(value)
 
 
-_checked = jaxtyping.jaxtyped
+_jaxtyped = jaxtyping.jaxtyped
 _checks: dict[tuple, "_Check"] = {}
+
+
+def _of_text(annotation, names):
+    """The annotation without strings; `Any` where a name is known to the type checker alone."""
+
+    def known():
+        """Carry the annotation."""
+
+    known.__annotations__["value"] = annotation
+    try:
+        return get_type_hints(known, names, include_extras=True)["value"]
+    except Exception:
+        return Any
 
 
 class _Check:
     """The check of all functions of one definition: an inner one is defined anew in each call of the outer one.
 
-    It is generated for the first call: a process of the suite calls some of the functions only.
+    Two generated functions for each definition, as jaxtyping has them, take 5 ms; checkers of annotations are shared.
     """
 
     def __init__(self, fn, typechecker):
-        self.seen, self.checked, self.typechecker = {}, None, typechecker  # calls, each with its results
-        self.running = running = threading.local()
+        self.seen, self.typechecker = {}, typechecker  # calls, each with its results
+        self.signature, self.names = inspect.signature(fn), fn.__globals__
+        self.where = f"{fn.__module__}.{fn.__qualname__}"
 
-        def run(*args, **options):
-            return running.fn(*args, **options)
+    @cached_property
+    def hints(self) -> dict[str, Any]:
+        """The annotations by name of parameter, and of the result."""
+        told = {name: p.annotation for name, p in self.signature.parameters.items()}
+        told["return"] = self.signature.return_annotation
+        told = {k: _of_text(v, self.names) for k, v in told.items() if v is not inspect.Parameter.empty}
+        return {k: v for k, v in told.items() if not isinstance(v, ParamSpecArgs | ParamSpecKwargs)}
 
-        # the same signature and the same names as of `fn`, without what it closes over
-        self.known = FunctionType(run.__code__, fn.__globals__, fn.__name__, None, run.__closure__)
-        self.known.__module__, self.known.__qualname__ = fn.__module__, fn.__qualname__
-        self.known.__signature__ = inspect.signature(fn)
+    def hold(self, what, hint, value):
+        """Raise a TypeCheckError where the value is not of the annotation."""
+        if not self.typechecker(value, hint):
+            raise jaxtyping.TypeCheckError(
+                f"Type-check error whilst checking the {what} of {self.where}: {_shown(value)} is not of {hint}"
+            )
 
     def __call__(self, fn, args, options):
-        """The result of `fn`, with its arguments and its result checked."""
-        if self.checked is None:
-            self.checked = _checked(self.known, typechecker=self.typechecker)
-        before, self.running.fn = getattr(self.running, "fn", None), fn
-        try:
-            return self.checked(*args, **options)
-        finally:
-            self.running.fn = before
+        """The result of `fn`, with its arguments and its result checked; equal axes have equal lengths."""
+        given, hints = self.signature.bind(*args, **options).arguments, self.hints
+        with _jaxtyped("context"):
+            for name, value in given.items():
+                if name not in hints:
+                    continue
+                kind = self.signature.parameters[name].kind
+                several = {inspect.Parameter.VAR_POSITIONAL: iter, inspect.Parameter.VAR_KEYWORD: dict.values}.get(kind)
+                for one in several(value) if several else (value,):
+                    self.hold(f"parameters ({name})", hints[name], one)
+            out = fn(*args, **options)
+            if "return" in hints:
+                self.hold("return value", hints["return"], out)
+        return out
+
+
+def _shown(value) -> str:
+    """The value in a message: an array by its dtype and shape."""
+    return f"{value.dtype}{value.shape}" if hasattr(value, "shape") else f"{value!r:.200}"
 
 
 def _of_init(kind: Any, typechecker):
@@ -126,7 +161,7 @@ def remembering(fn: Any = None, *, typechecker) -> Any:
     if inspect.isclass(fn):
         return _of_init(fn, typechecker)
     if not inspect.isfunction(fn):
-        return _checked(fn, typechecker=typechecker)
+        return _jaxtyped(fn, typechecker=beartype(conf=CONF))
     if not fn.__annotations__:
         return fn
     definition = (typechecker, fn.__module__, fn.__qualname__, fn.__code__, repr(fn.__annotations__))
