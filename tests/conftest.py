@@ -43,6 +43,7 @@ def pytest_configure(config):
 
 def pytest_collection_finish():
     gc.freeze()  # modules stay: no later collection looks through them
+    gc.set_threshold(20_000, 10, 20)  # 6 of 100 s were spent on collecting every 2,000 (700 before Python 3.13) objects
     gc.enable()
 
 

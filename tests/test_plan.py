@@ -211,7 +211,7 @@ def test_a_runs_information_is_that_of_its_jacobian(model, records):
 def test_a_level_informs_where_an_equilibrium_exists_and_otherwise_from_rest(linear):
     """A held level moves a spring nowhere; without a spring nothing holds, and the run starts at rest."""
     row, level = lookup("coulomb_friction", "smooth"), np.full(400, 500.0)
-    sprung = replace(linear(2), effects=(row(jnp.asarray(0.1), jnp.asarray(0.006)),))
+    sprung = replace(linear(2, dt=5e-3), effects=(row(jnp.asarray(0.1), jnp.asarray(0.006)),))
     free = replace(sprung, coefficients=sprung.coefficients * jnp.asarray([0.0, 1.0, 1.0]))
     others = [level, 500 * np.sin(np.arange(400) / 20)]
     assert [one.any() for one in information(sprung, others, 5e-3)] == [False, True]

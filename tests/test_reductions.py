@@ -33,17 +33,20 @@ def search():
         text = path.read_text(encoding="utf-8")
         if "jnp." not in text:
             continue
+        file = path.relative_to(package)
         for node in ast.walk(ast.parse(text)):
-            place = f"{path.relative_to(package)}:{getattr(node, 'lineno', 0)}"
             if isinstance(node, ast.BinOp) and isinstance(node.op, ast.MatMult):
-                yield place, "@"
+                yield f"{file}:{node.lineno}", "@"
             if not (isinstance(node, ast.Call) and isinstance(node.func, ast.Attribute)):
                 continue
-            owner, name = ast.unparse(node.func.value), node.func.attr
-            if owner == "jnp" and name == "einsum":
-                yield place, f"einsum {ast.literal_eval(node.args[0])}"
-            elif name in (*NAMES, *OTHERS) and not owner.startswith("np"):
-                yield place, name
+            name = node.func.attr
+            if name not in (*NAMES, *OTHERS, "einsum"):
+                continue
+            owner = ast.unparse(node.func.value)
+            if name != "einsum" and not owner.startswith("np"):
+                yield f"{file}:{node.lineno}", name
+            elif owner == "jnp":
+                yield f"{file}:{node.lineno}", f"einsum {ast.literal_eval(node.args[0])}"
 
 
 FORMS = sorted({form for _, form in search()} - {"@", *OTHERS} | set(PRODUCTS) | set(NAMES))
