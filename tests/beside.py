@@ -25,9 +25,9 @@ class Beside:
 def beside(model, voltages, dt, apart=10.0) -> Beside:
     """Free runs from rest under these drives, one every `apart` seconds of a session."""
     series = []
+    run = eqx.filter_jit(lambda volts: rollout(model, volts, dt, rest_state(model))[:, 0])
     for k, u in enumerate(voltages):
-        states = np.asarray(rollout(model, jnp.asarray(u, jnp.float32), dt, rest_state(model)), float)
-        x = states[:, 0]
+        x = np.asarray(run(jnp.asarray(u, jnp.float32)), float)
         series.append(SimpleNamespace(voltage=u, age=apart * k, run=x, span=float(np.ptp(x))))
     return Beside(model, tuple(series))
 

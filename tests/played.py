@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
@@ -34,6 +35,12 @@ def drives():
     return {k: 600 + 350 * v for k, v in (found | {"steps": steps}).items()}
 
 
+@eqx.filter_jit  # otherwise every drive would compile the loop again
+def run(model, volts):
+    """Scaled readings of the model from rest."""
+    return ports.readings(model, rollout(model, volts, DT, rest_state(model)))
+
+
 def play(model, noise=NOISE, extra=0.0, seed=0, louder=(), inputs=None):
     """Records of a model, one after the other on the session's clock.
 
@@ -42,8 +49,7 @@ def play(model, noise=NOISE, extra=0.0, seed=0, louder=(), inputs=None):
     rng, found = np.random.default_rng(seed), []
     for k, (name, u) in enumerate((inputs or drives()).items()):
         u = 1.5 * u if name in louder else u
-        states = rollout(model, jnp.asarray(u, jnp.float32), DT, rest_state(model))
-        x = np.asarray(ports.readings(model, states), float) * model.scales.state[0]
+        x = np.asarray(run(model, jnp.asarray(u, jnp.float32)), float) * model.scales.state[0]
         x = x + noise * rng.standard_normal(SAMPLES)
         found.append(pitp.Record(name, TIME + 10 * k, u, x + extra * np.sin(2 * np.pi * 17.3 * TIME + k)))
     return found

@@ -229,14 +229,13 @@ def test_a_small_constant_input_before_large_steps_is_not_zero():
 
 
 @pytest.mark.parametrize("held", [0.0, 800.0])
-def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leaves(held):
+def test_a_flat_reading_under_a_flat_drive_is_rest_or_held_whatever_a_model_leaves(nominal, held):
     """Half a second of it before the motion of another actuator than the model's, and another zero."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
     drive = np.where(TIME < 0.5, held, held + 600 * np.sin(2 * np.pi * 3 * (TIME - 0.5)))
     ahead = np.concatenate([np.full(len(TIME), held), drive])
     other = lsim(([4e-9], [1 / (3 * OMEGA) ** 2, 0.2 / OMEGA, 1]), ahead**2, np.arange(len(ahead)) * DT)[1]
     r = record(drive, other[len(TIME) :] + 1e-3)
-    (begun,), _ = beginnings(model, [r], [0.0])
+    (begun,), _ = beginnings(nominal, [r], [0.0])
     assert begun.begins == ("held" if held else "rest")
 
 
@@ -277,12 +276,11 @@ def test_a_model_without_the_resonance_that_is_driven_reverses_no_sensor(gain):
 
 @pytest.mark.parametrize("ahead", [0, 3000, 9000])
 @pytest.mark.parametrize("direction", [1, -1])
-def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(ahead, direction):
+def test_the_direction_is_that_of_the_first_motion_wherever_it_begins(nominal, ahead, direction):
     """Three seconds of a trigger's lead hide it as little as none."""
-    model = identify([record(SINE, motion(SINE), 1)], order=2).model.model
     drive, x = np.concatenate([np.zeros(ahead), SINE]), np.concatenate([np.zeros(ahead), motion(SINE)])
     y = direction * x + 1e-3 + NOISE * np.random.default_rng(5).standard_normal(len(x))
-    (begun,), _ = beginnings(model, [Record("late", np.arange(len(x)) * DT, drive, y)], [0.0])
+    (begun,), _ = beginnings(nominal, [Record("late", np.arange(len(x)) * DT, drive, y)], [0.0])
     assert (begun.begins, begun.direction) == ("rest", direction)
     assert begun.zero == pytest.approx(1e-3, abs=3 * NOISE)
 
