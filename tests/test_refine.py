@@ -219,6 +219,17 @@ def test_longer_windows_come_where_whole_records_are_far_off(plant, start, monke
     assert sizes == [("short runs", 100), *[("longer runs", 400)] * longer, *whole]
 
 
+def test_the_fitted_error_of_a_record_in_motion_is_that_of_its_prediction(plant, start):
+    """Both keep the model's sensor offset, here wrong by 0.3 mm, which a fit with offsets of its own would not see."""
+    nominal, (_, record), _ = plant
+    cut = Record("cut", TIME[:-200], record.voltage[200:], record.displacement[200:] + 3e-4)
+    (run,) = predict(nominal, [cut])
+    assert run.begins == "moving"
+    predicted = e_rms_percent(run.displacement, cut.displacement, run.scored)
+    fitted = refining._miss(nominal, refining._free(nominal, [cut]), how(every=1))
+    assert fitted == pytest.approx(predicted, rel=1e-3) and predicted > 1.0
+
+
 def test_held_out_blocks_choose_the_model_and_fit_nothing(plant, start, monkeypatch):
     """A third of a record, never its beginning. Of four scores the last fit starts at the least."""
     held_out = HeldOut(plant[1])

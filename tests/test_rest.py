@@ -16,6 +16,8 @@ from pitp_jax import Record
 from pitp_jax.method.effects import CATALOGUE
 from pitp_jax.method.identify.beginnings import find_beginnings
 from pitp_jax.method.identify.identification import identify
+from pitp_jax.method.model.input_map import LinearInput
+from pitp_jax.method.model.model import linear_model
 from pitp_jax.method.signal.initial_state import first_known, level_groups, noise_std, rest_level, standing_drive
 from pitp_jax.method.signal.start import Response, estimate_start, first_part
 from pitp_jax.method.simulate.beginnings import beginnings
@@ -435,6 +437,20 @@ def test_a_record_cut_in_motion_is_moving_whatever_the_law(nominal, form, number
     part = Record("cut", TIME, u[cut : cut + 3000], (x + 1e-3)[cut : cut + 3000])
     (run,) = predict(model, [part])
     assert run.begins == "moving" and run.zero == pytest.approx(1e-3)
+
+
+def test_a_slow_store_of_an_axis_cut_in_motion_is_not_settled_at_its_first_voltage():
+    """Without a spring the motion never forgets a wrong charge of the store."""
+    (row,) = [r for r in CATALOGUE if r.key == "charge_leak: one trap"]
+    axis = linear_model([1e-9, 5.8, 2.7], dt=5e-3, input_map=LinearInput())
+    axis = replace(axis, effects=(row(jnp.asarray(0.5), jnp.asarray(200.0)),))
+    time = np.arange(4000) * 5e-3
+    u = 4 * np.sin(2 * np.pi * 0.5 * time) + 3 * np.sin(2 * np.pi * 1.3 * time)
+    x = np.asarray(rollout(axis, jnp.asarray(u), 5e-3, rest_state(axis)))[:, 0] * float(axis.scales.state[0])
+    first = int(np.argmax(np.where(time > 5, u, 0.0)))
+    (run,) = predict(axis, [Record("cut", time[first:] - time[first], u[first:], x[first:])])
+    assert run.begins == "moving"
+    assert np.abs(run.displacement - x[first:])[run.scored].max() < 0.05 * np.ptp(x)
 
 
 def test_one_function_decides_how_a_record_starts():

@@ -43,12 +43,15 @@ def reduce_rate(
         samples_per_period: kept of the fastest motion, at least.
         usable: number of samples, of all records together, that the caller can use.
     """
-    dt, shortest, samples = records[0].dt, min(r.samples for r in records), sum(r.samples for r in records)
+    dt, lengths = records[0].dt, [r.samples for r in records]
+    shortest, samples = min(lengths), sum(lengths)
     forces = [model.input_map.force(r.voltage) for r in records]
-    poles = np.asarray(np.roots(model.physical_coefficients[::-1]), np.complex128)
+    poles = np.roots(model.physical_coefficients[::-1])
     ringing = np.abs(poles[np.abs(poles.imag) > np.abs(poles.real)])  # a damped pole makes no fast motion
-    fastest = fastest_hz(records, forces, ringing / (2 * np.pi))
-    whole = max(fastest, fastest_hz(records, forces, np.zeros(0), _WHOLE * (1 - _noise_fraction(records))))
+    # a pole that turns less than 1 rad in the longest record integrates: the input moves the derivative
+    integrators = sum(abs(p) * dt * max(lengths) < 1 for p in poles.tolist())
+    fastest = fastest_hz(records, forces, ringing / (2 * np.pi), integrators)
+    whole = fastest_hz(records, forces, np.zeros(0), integrators, _WHOLE * (1 - _noise_fraction(records)))
     longest, size = (block_size(dt, hz, samples_per_period, shortest) for hz in (fastest, whole))
     size = min(max(size, -(-samples // usable)), longest)
     if size < (2 if samples > usable else _WORTH):
@@ -58,14 +61,15 @@ def reduce_rate(
 
 
 def fastest_hz(
-    records: Sequence[Record], forces: Sequence[np.ndarray], modes: np.ndarray, share: float = _BAND
+    records: Sequence[Record], forces: Sequence[np.ndarray], modes: np.ndarray, derivative=0, share=_BAND
 ) -> float:
     """Return the highest relevant frequency (Hz): of motion caused by the input, or of a mode that oscillates near it.
 
-    Force without motion and motion without force are ignored, and so is a mode far above the motion.
+    Force without motion and motion without force are ignored, and so is a mode far above the motion. The motion is this
+    derivative of the displacement: an integrated motion hides its fast part.
     """
     dt = records[0].dt
-    moved = force_band([m for m in (r.filled for r in records) if np.ptp(m) > 0], dt, share)
+    moved = force_band([np.diff(r.filled, derivative) for r in records if np.ptp(r.filled) > 0], dt, share)
     return max(min(force_band(forces, dt, share), moved), *modes[modes < _BEYOND * moved], 1e-12)
 
 
@@ -98,7 +102,7 @@ def averaged(record: Record, force: Float[np.ndarray, " time"], size: int) -> Re
     y = np.where(observed >= 0.5, y, np.nan)  # a half or more of the block was observed
     # a mean belongs to the middle of its block
     middle = record.time[0] + record.dt * ((size - 1) / 2 + size * np.arange(count))
-    return Record(record.name, middle, means(force, size), y, source=record.source)
+    return replace(record, time=middle, voltage=means(force, size), displacement=y)
 
 
 def means(values: np.ndarray, size: int) -> np.ndarray:
@@ -130,5 +134,4 @@ def _with_voltage(record: Record, force: np.ndarray, size: int, model: Any) -> R
     mean, voltage = averaged(record, force, size), averaged(record, record.voltage, size).voltage
     back = np.asarray(model.input_map.voltage(jnp.asarray(mean.voltage)), np.float64)
     sign = np.where(voltage < 0, -1.0, 1.0) if model.input_map.one_sided else 1.0  # the square has lost the sign
-    units = {"voltage_unit": record.voltage_unit, "displacement_unit": record.displacement_unit}
-    return replace(mean, voltage=sign * back, **units)
+    return replace(mean, voltage=sign * back)

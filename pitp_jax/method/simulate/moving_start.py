@@ -1,8 +1,9 @@
 """Estimate the state in which records start to move, from the free runs of a model over their first samples.
 
-    S(0), m = argmin sum (x(t; S(0), m) - y(t))^2 + r^2 |(S(0), m) - (mean y, 0, ..., mean y)|^2,    r = 1e-3
+    p = argmin sum (x(t; p) - y(t))^2 + r^2 |p - (mean y, 0, ..., mean y, mean u / max |u|)|^2,    r = 1e-3
 
-m: the level at which every memory is assumed settled. Gauss-Newton, all records at once.
+p: the state S(0), and the level and the input at which all memories and effects are assumed settled. A store that is
+slower than the record keeps the mean of the input, not u(0). Gauss-Newton, all records at once.
 """
 
 from collections.abc import Sequence
@@ -46,17 +47,19 @@ def moving_states(
     counts, dt, order = [initial_samples(model, r) for r in records], records[0].dt, model.order
     given = list(zip(records, counts, strict=True))
     voltage = np.stack([np.pad(r.voltage[:n], (0, max(counts) - n), mode="edge") for r, n in given])
-    read = [model.output.to_model(r.displacement[:n]) / model.scales.state[0] for r, n in given]
-    x = np.stack([np.pad(y, (0, max(counts) - len(y)), constant_values=np.nan) for y in read])
-    best = np.zeros((len(records), order + 1))
-    seen = np.isfinite(x)
-    best[:, [0, -1]] = (np.nansum(x, 1) / np.maximum(seen.sum(1), 1))[:, None]
-    prior, steps = best, _STEP * np.eye(order + 1, order + 2, 1).T
+    y = np.stack([np.pad(r.displacement[:n], (0, max(counts) - n), constant_values=np.nan) for r, n in given])
+    x = model.output.to_model(y) / model.scales.state[0]
+    seen, size = np.isfinite(x), order + 2
+    unit = np.abs(voltage).max() or 1.0
+    best = np.zeros((len(records), size))
+    best[:, [0, order]] = (np.nansum(x, 1) / np.maximum(seen.sum(1), 1))[:, None]
+    best[:, -1] = [r.voltage.mean() / unit for r in records]
+    prior, steps = best, _STEP * np.eye(size, size + 1, 1).T
 
     def starts(rows):
-        flat = rows.reshape(-1, order + 1)
-        repeated = np.repeat(np.column_stack([voltage[:, 0], ages]), len(flat) // len(records), axis=0)
-        return evaluate(_settled, model, *repeated.T, *flat.T)
+        flat = rows.reshape(-1, size)
+        age = np.repeat(ages, rows.shape[1])
+        return evaluate(_settled, model, unit * flat[:, -1], age, *flat[:, :-1].T)
 
     def residuals(rows):
         runs = model_runs(model, np.repeat(voltage, rows.shape[1], axis=0), dt, starts(rows))[1]
@@ -68,8 +71,8 @@ def moving_states(
         error = both[:, 0]
         slopes = (both[:, 1:] - error[:, None]).mT / _STEP
         finite = np.isfinite(both.sum((1, 2)))[:, None]  # a record whose runs diverge keeps its state
-        orthogonal, triangle = np.linalg.qr(np.where(finite[..., None], slopes, np.eye(*slopes.shape[1:])))
-        move = -np.linalg.solve(triangle, (orthogonal.mT @ error[..., None]))[..., 0]
+        inverse = np.linalg.pinv(np.where(finite[..., None], slopes, 0.0))
+        move = -(inverse @ error[..., None])[..., 0]
         after = residuals((best + move)[:, None])[:, 0]
         better = (after**2).sum(1) < (error**2).sum(1)
         move = np.where(finite, np.where(better, 1.0, _SHORTER)[:, None] * move, 0.0)

@@ -302,7 +302,8 @@ def _from_the_start(
     """Pad the first `size` samples of records to arrays; samples used for the initial state have no weight.
 
     A held record with the offset of those at rest starts at its measured level, and thus determines the static curve.
-    Others that do not start at rest have their own offset, projected out of their errors.
+    Other held records have their own offset, projected out of their errors. A record in motion keeps the model's
+    offset, as in its prediction.
     """
     shape = len(records), size
     voltage, target, weight = (np.zeros(shape, np.float32) for _ in range(3))
@@ -314,14 +315,12 @@ def _from_the_start(
         x = model.output.to_model(r.displacement) / model.scales.state[0]
         seen = np.isfinite(x[:n])
         seen[:spent] = False
-        voltage[k, :n], voltage[k, n:] = (
-            r.voltage[:n],
-            r.voltage[n - 1],
-        )  # a jump to 0 V could make an unstable fit diverge
+        # a jump to 0 V could make an unstable fit diverge
+        voltage[k] = np.pad(r.voltage[:n], (0, size - n), mode="edge")
         target[k, :n] = np.where(seen, x[:n], 0.0)
         weight[k, :n] = each[k] * seen / max(seen.sum(), 1)
     start = jnp.stack(starts)
-    own = np.array([b.free for _, _, b in begins], np.float32)
+    own = np.array([b.free and b.begins == "held" for _, _, b in begins], np.float32)
     return Runs(start, *(jnp.asarray(v) for v in (voltage, target, weight, own)))
 
 
