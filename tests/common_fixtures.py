@@ -2,6 +2,7 @@
 
 import pkgutil
 from dataclasses import replace
+from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
@@ -27,10 +28,45 @@ with install_import_hook(_SHAPED, "typecheck.check"):
     from pitp_jax.method.model.input_map import SquareInput
     from pitp_jax.method.model.memory import FadingMemory, RingingMemory
     from pitp_jax.method.model.model import Hold, Output, linear_model
+    from pitp_jax.method.simulate.compiled import kernel, objects
 
     for _module in pkgutil.walk_packages(pitp_jax.__path__, "pitp_jax."):
         if not _module.name.endswith("__main__"):
             import_module(_module.name)
+
+
+_AS_USERS = {"machine": objects.machine, "optimised": objects.optimised}
+
+
+def compile_quickly():
+    """Compile the machine code of free runs without most of LLVM's optimisations, in a third of the time."""
+
+    @lru_cache(1)
+    def machine():
+        llvm, _, known = _AS_USERS["machine"]()
+        processor, features = llvm.get_host_cpu_name(), llvm.get_host_cpu_features().flatten()
+        target = llvm.Target.from_default_triple().create_target_machine(
+            cpu=processor, features=features, opt=1, reloc="static", codemodel="large", jit=True
+        )
+        return llvm, target, f"{known}, quickly"  # its object files are others
+
+    def optimised(llvm, target, text):
+        module = llvm.parse_assembly(text)
+        module.verify()
+        return module
+
+    objects.machine, objects.optimised = machine, optimised
+
+
+@pytest.fixture(scope="module")
+def code_of_users():
+    """Machine code with all of LLVM's optimisations, in the default suite as well."""
+    with pytest.MonkeyPatch.context() as patch:
+        for name, function in _AS_USERS.items():
+            patch.setattr(objects, name, function)
+        kernel._built.cache_clear()
+        yield
+    kernel._built.cache_clear()
 
 
 @pytest.fixture(scope="session")

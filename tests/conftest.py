@@ -26,7 +26,8 @@ settings.load_profile(os.environ.get("HYPOTHESIS_DRAWS", "same"))
 def pytest_configure(config):
     """Load the package, except in the process that only deals out the tests (`-n`).
 
-    The default suite mostly compiles, so it does without most of XLA's optimisations; `-m slow` has what users have.
+    The default suite mostly compiles, so it does without most optimisations of XLA and LLVM; `-m slow` has what users
+    have, and so do the tests of the machine code itself (`code_of_users`).
     """
     if config.getoption("dist", "no") != "no" and not hasattr(config, "workerinput"):
         return
@@ -39,6 +40,10 @@ def pytest_configure(config):
     import jax
 
     jax.config.update("jax_disable_most_optimizations", short)
+    if short:
+        import common_fixtures
+
+        common_fixtures.compile_quickly()
 
 
 def pytest_collection_finish():

@@ -2,9 +2,12 @@
 
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from scipy.linalg import expm
 
 from pitp_jax.method.simulate.free_runs import BLOCK, CHUNK, free_runs
+
+pytestmark = pytest.mark.usefixtures("code_of_users")
 
 RNG = np.random.default_rng(3)
 

@@ -23,6 +23,8 @@ from pitp_jax.method.simulate.decoder import rest_state
 from pitp_jax.method.simulate.free_runs import free_runs, scanned_runs
 from pitp_jax.method.simulate.model_runs import model_runs
 
+pytestmark = pytest.mark.usefixtures("code_of_users")
+
 RNG = np.random.default_rng(5)
 RUNS, STEPS = 11, 40
 P, S, U = RNG.uniform(0.2, 0.9, (RUNS, 6)), RNG.normal(0, 0.6, (RUNS, 3)), RNG.normal(0, 1.5, (2, STEPS))

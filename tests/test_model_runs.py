@@ -24,6 +24,8 @@ from pitp_jax.method.simulate.decoder import rollout_batch
 from pitp_jax.method.simulate.free_runs import free_runs, scanned_runs
 from pitp_jax.method.simulate.model_runs import Models, ModelStep, film_of, model_runs, sample, taken_apart, way_of
 
+pytestmark = pytest.mark.usefixtures("code_of_users")
+
 DT, STEPS = 1e-3, 2000
 T = np.arange(STEPS) * DT
 VOLTS = np.stack([500 * np.sin(k * T) ** 2 + 30 * np.sin(90 * T) ** 2 for k in (5, 6, 7)])
