@@ -108,6 +108,8 @@ class _Check:
     def __init__(self, fn, typechecker):
         self.seen, self.typechecker = {}, typechecker  # calls, each with its results
         self.signature, self.names = inspect.signature(fn), fn.__globals__
+        kinds = {p.kind for p in self.signature.parameters.values()}
+        self.starred = bool(kinds & {inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD})
         self.where = f"{fn.__module__}.{fn.__qualname__}"
 
     @cached_property
@@ -116,7 +118,7 @@ class _Check:
         told = {name: p.annotation for name, p in self.signature.parameters.items()}
         told["return"] = self.signature.return_annotation
         told = {k: _of_text(v, self.names) for k, v in told.items() if v is not inspect.Parameter.empty}
-        return {k: v for k, v in told.items() if not isinstance(v, ParamSpecArgs | ParamSpecKwargs)}
+        return {k: v for k, v in told.items() if v is not Any and not isinstance(v, ParamSpecArgs | ParamSpecKwargs)}
 
     def hold(self, what, hint, value):
         """Raise a TypeCheckError where the value is not of the annotation."""
@@ -127,19 +129,26 @@ class _Check:
 
     def __call__(self, fn, args, options):
         """The result of `fn`, with its arguments and its result checked; equal axes have equal lengths."""
-        given, hints = self.signature.bind(*args, **options).arguments, self.hints
+        hints = self.hints
         with _jaxtyped("context"):
-            for name, value in given.items():
-                if name not in hints:
-                    continue
-                kind = self.signature.parameters[name].kind
-                several = {inspect.Parameter.VAR_POSITIONAL: iter, inspect.Parameter.VAR_KEYWORD: dict.values}.get(kind)
-                for one in several(value) if several else (value,):
-                    self.hold(f"parameters ({name})", hints[name], one)
+            for name, value in self._given(args, options):
+                if name in hints:
+                    self.hold(f"parameters ({name})", hints[name], value)
             out = fn(*args, **options)
             if "return" in hints:
                 self.hold("return value", hints["return"], out)
         return out
+
+    def _given(self, args, options):
+        """Every argument with the name of its parameter; a wrong number of them is for the function to refuse."""
+        if not self.starred:
+            return (*zip(self.signature.parameters, args, strict=False), *options.items())
+        several = {inspect.Parameter.VAR_POSITIONAL: tuple, inspect.Parameter.VAR_KEYWORD: dict.values}
+        given, listed = self.signature.bind(*args, **options).arguments, []
+        for name, value in given.items():
+            kind = self.signature.parameters[name].kind
+            listed += [(name, one) for one in several[kind](value)] if kind in several else [(name, value)]
+        return listed
 
 
 def _shown(value) -> str:
