@@ -153,6 +153,21 @@ def test_fixed_steps_agree_with_diffrax(kit, bench, name, which):
     assert np.abs(got - want).max() < 1e-4 * np.ptp(want)
 
 
+def test_largest_stretch_lasts_through_a_session(kit, bench):
+    """After a recording under a large step the law is a constant spring, so the next one is a linear step response."""
+    (form,), count = kit.catalogue.FORMS["mullins"], 6000
+    u = np.array([np.full(count, level) for level in (0.9, 0.3)])
+    plant, none = bench.plant.constants, dict.fromkeys(("push", "gate", "add"), (None,))
+    p, r = 0.4, 0.5
+    first, second = kit.plant.outputs(
+        (form,), [[p]], ({"r": r},), plant, {"u": u, "clock": np.array([0.0, 50.0]), **none}
+    )[0]
+    spring = 1 - p * first.max() / (first.max() + r)
+    system = signal.lti([1.0], [1.0, 2 * plant["zeta"], spring])
+    _, want = signal.step(system, T=plant["step"] * np.arange(count))
+    np.testing.assert_allclose(second, 0.3**2 * want, atol=2e-3 * want.max())
+
+
 def test_sealed_labels_open_only_unchanged(kit):
     sealed = kit.seal.Sealed({"a": "creep", "b": "none"})
     assert sealed.digest != kit.seal.Sealed(sealed.labels).digest and "creep" not in repr(sealed)

@@ -62,6 +62,7 @@ class Form:
         arrays: disturbances per record from (rng, time in s, stats), shape (T,): `push` (force) and `add` (output)
             times p, `gate` (the drive becomes (1 - p gate) u).
         states: how many states s it brings.
+        lasts: whether these states go on from recording to recording (a rest does not mend the material).
         stiff: Runge-Kutta steps per 1/w0, where the form needs more than the plant.
         delay: (p, c) to a delay of the drive in 1/w0, rounded to whole Runge-Kutta steps; None: no delay.
         drive, coupling, force, inertia, limit, rates, sensor: the ports of the equation above.
@@ -72,6 +73,7 @@ class Form:
     draw: Callable = _draw
     arrays: Callable = _arrays
     states: int = 0
+    lasts: bool = False
     stiff: float = 30.0
     delay: Callable | None = None
     drive: Callable = lambda p, c, u, s: u

@@ -139,7 +139,7 @@ def _farthest(p, c, u, x, v, s):
 
 
 MULLINS = (
-    Form("rational", (0.02, 0.9), states=1, stiff=120.0, rates=_farthest,
+    Form("rational", (0.02, 0.9), states=1, lasts=True, stiff=120.0, rates=_farthest,
          draw=lambda rng, stats: {"r": rng.uniform(0.3, 0.8) * stats.top},
          force=lambda p, c, x, v, s, t: -p * s[0] / (s[0] + c["r"]) * x),
 )  # fmt: skip

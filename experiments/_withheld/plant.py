@@ -88,8 +88,8 @@ def _advance(f, y, h, first, last):
     return y + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
 
 
-def _march(forms, count, ps, cs, plant, inputs):
-    """States of one record, shape (T, 2 + states)."""
+def _march(forms, count, ps, cs, plant, inputs, start):
+    """States of one record from `start`, shape (T, 2 + states)."""
     zeta, step, seconds = plant["zeta"], plant["step"], plant["seconds"]
     f, u = partial(rate, forms, ps, cs, zeta), inputs["u"]
     for p, gate in zip(ps, inputs["gate"], strict=True):
@@ -110,10 +110,23 @@ def _march(forms, count, ps, cs, plant, inputs):
         y = jax.lax.fori_loop(0, count, body, y, unroll=count <= 2)
         return y, y
 
-    start = jnp.zeros(2 + sum(f.states for f in forms))
     times = inputs["clock"] + seconds * jnp.arange(len(u) - 1)
     path = jax.lax.scan(sample, start, (pieces, push[:-1], push[1:], times))[1]
     return jnp.concatenate([start[None], path])
+
+
+def _session(forms, count, ps, cs, plant, inputs):
+    """States of every record, shape (R, T, 2 + states): all from rest, but for states that last through the session."""
+    lasts = jnp.array([0.0, 0.0, *(float(f.lasts) for f in forms for _ in range(f.states))])
+    march = partial(_march, forms, count, ps, cs, plant)
+    if not any(f.lasts for f in forms):
+        return jax.vmap(march, (0, None))(inputs, jnp.zeros_like(lasts))
+
+    def record(start, one):
+        path = march(one, start)
+        return lasts * path[-1], path
+
+    return jax.lax.scan(record, jnp.zeros_like(lasts), inputs)[1]
 
 
 def _observe(forms, ps, cs, path, add):
@@ -128,23 +141,23 @@ def _observe(forms, ps, cs, path, add):
 
 @partial(jax.jit, static_argnames=("forms", "count"))
 def _outputs(forms, count, ps, cs, plant, inputs):
-    def one(ps, inputs):
-        path = _march(forms, count, ps, cs, plant, inputs)
-        return _observe(forms, ps, cs, path, inputs["add"])
+    def one(ps):
+        paths = _session(forms, count, ps, cs, plant, inputs)
+        return jax.vmap(partial(_observe, forms, ps, cs))(paths, inputs["add"])
 
-    return jax.vmap(jax.vmap(one, (None, 0)), (0, None))(ps, inputs)
+    return jax.vmap(one)(ps)
 
 
 @partial(jax.jit, static_argnames=("forms", "count"))
 def _missing(forms, count, ps, cs, plant, inputs):
-    def one(inputs):
-        path, u = _march(forms, count, ps, cs, plant, inputs), inputs["u"]
+    def one(path, inputs):
+        u = inputs["u"]
         t = inputs["clock"] + plant["seconds"] * jnp.arange(len(u))
         rates = jax.vmap(partial(rate, forms, ps, cs, plant["zeta"]))(path, u, jnp.zeros_like(u), t)
         x, v = path[:, 0], path[:, 1]
         return rates[:, 1] + 2.0 * plant["zeta"] * v + x - u**2
 
-    return jax.vmap(one)(inputs)
+    return jax.vmap(one)(_session(forms, count, ps, cs, plant, inputs), inputs)
 
 
 def outputs(forms, ps, cs, plant, inputs) -> np.ndarray:
