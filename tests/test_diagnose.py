@@ -1,6 +1,7 @@
 """A diagnosis names what was planted, with its numbers; says no gap where there is none, and unknown where it must."""
 
 import json
+import re
 from dataclasses import replace
 from functools import partial
 from typing import Any, cast
@@ -262,6 +263,28 @@ def test_an_input_behind_a_low_pass_is_told_and_taken_out(nominal):
     assert found.effects == ("voltage_clip",)
     assert found.input_lag == pytest.approx(tau, rel=0.05) and found.as_json()["input_lag_s"] == found.input_lag
     assert any("low pass" in note for note in found.notes)
+
+
+@pytest.mark.slow
+def test_a_zero_of_a_plant_is_no_fault_of_its_recordings():
+    """SciPy's plant with a zero of 0.4 s, refitted: no name, its time is told, the recordings stay as they are."""
+    tau, rng, time = 0.4, np.random.default_rng(7), np.arange(1500) / 50
+    plant = ([tau, 1.0], [0.04, 0.12, 1.0])
+    steps = np.repeat(rng.uniform(-1, 1, 25), 60)
+    records = []
+    for name, u in (("sweep", np.sin(2 * np.pi * (0.05 + 0.025 * time) * time)), ("steps", steps)):
+        y = 1e-3 * lsim(plant, u, time)[1]
+        records.append(pitp.Record(name, time, u, y + 2e-6 * rng.standard_normal(len(time))))
+    model = pitp.identify(records, input_map="linear", order=2).model
+    found = pitp.diagnose(model, records, refit_nominal=True, exclude=FEW)
+    assert found.verdict == "unknown" and found.effects == () and found.input_lag == 0
+    assert float(some(re.search(r"zero with a time constant of ([\d.]+) ms", found.reason))[1]) == pytest.approx(
+        1e3 * tau, rel=0.05
+    )
+    assert all(p.certainty == "none" for p in found.parts)
+    before, after = ([np.std((p.displacement - r.displacement)[p.scored]) for p, r in zip(pitp.predict(m, records),
+                     records, strict=True)] for m in (model, found.model))  # fmt: skip
+    assert np.all(np.array(after) <= 1.001 * np.array(before))
 
 
 @pytest.mark.slow

@@ -209,6 +209,8 @@ def _searched_without_fault(
 ) -> tuple["_Searched", Fault, Sequence[Record]]:
     """Search; if the output is certainly ahead of the input, correct the records and search again.
 
+    In a refit a lead is no fault of the records, because the plant may have a zero; the verdict is then `unknown`.
+
     Returns:
         the search, the fault of the records, and the records without it.
     """
@@ -217,6 +219,10 @@ def _searched_without_fault(
     if SHIFT.name in best.names and not outcome.interrupted:
         if needed(best, rival_without(outcome.search, best, {SHIFT.name})) >= rules.SURE:
             candidate = Fault(best.fit.value(EARLY) + best.fit.value(AHEAD), best.fit.value(MONITOR))
+            if (
+                refit and candidate.lag
+            ):  # a zero of the plant does the same, and no other recording says that it has none
+                return outcome, fault, records
             fault = candidate if candidate.is_acausal else fault
             records = fault.corrected(records)
         exclude = (*exclude, SHIFT.name)

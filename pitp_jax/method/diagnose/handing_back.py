@@ -30,7 +30,7 @@ from .library import CORE, FREE, SHIFT, model_of
 from .own_error import residual
 from .search import PARAMETERS, STEPS, Hypothesis, Search
 from .traces import Trace
-from .verdict import Decision
+from .verdict import Decision, rival_without
 
 _DOUBLED = 4  # times at most that the steps a sample of a returned model are doubled
 _SHIFT, _GROWN = 1e-9, 100.0  # scaled shift of an initial state; times that it may grow in a steady run
@@ -51,7 +51,10 @@ def hand_back(
     error, alone, whole = _error, decision.alone, cache(lambda: fitter_of_all(search.case, search.fitter))
     # a set that is not judged may predict better than the judged one
     deeper = sorted((h for h in search.every.values() if error(h) < error(decision.chosen)), key=error)
-    tried = [decision.chosen]
+    first = decision.chosen
+    if SHIFT.name in first.names:  # a zero is not part of a model
+        first = rival_without(search, first, {SHIFT.name})
+    tried = [first]
     if decision.verdict in ("partly", "unknown"):
         chosen, said = decision.chosen.evidence.bare, set(decision.said)
         sure = [h for h in deeper if said <= set(h.labels) and probability(h.evidence.bare, chosen) >= rules.SURE]

@@ -44,7 +44,8 @@ class Diagnosis:
         term: an unnamed force as an equation found in the data.
         lane_steps: the work of the search, samples x steps a sample x simulations.
         clock_shift: time (s) by which the output column was ahead of the input column; removed before the diagnosis.
-        input_lag: time constant (s) of the low pass behind which the input column was recorded; removed likewise.
+        input_lag: time constant (s) of the low pass behind which the input column was recorded; removed likewise. 0 in
+            a refit, because a zero of the plant does the same.
         interrupted: the search was interrupted; the result is the best scored so far.
     """
 

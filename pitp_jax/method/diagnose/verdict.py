@@ -6,9 +6,9 @@ no_gap     the nominal's error is at most OWN times that on its own records; or 
 explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
            are tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
 partly     the same, but a flexible model is better by less than 1 - FIRST, or closes more if it is added
-unknown    otherwise: a flexible model is better by 1 - FIRST with P >= SURE, an unnamed force or an undecided effect is
-           part of it, a larger hypothesis has less than HALF the error and does not need all of its effects, or few
-           excitations and a rival within TWICE the error
+unknown    otherwise: a flexible model is better by 1 - FIRST with P >= SURE, an unnamed force, a zero of the plant or
+           an undecided effect is part of it, a larger hypothesis has less than HALF the error and does not need all of
+           its effects, or few excitations and a rival within TWICE the error
 
 A wrong effect reported with confidence costs a laboratory a week; `unknown` costs an hour.
 """
@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
+from ...common.numbers import number
 from . import rules
 from .evidence import Evidence, probability
-from .library import CHANGED, COMMUTING, FREE, HIDDEN, LONE, TWINS, names_of
+from .library import CHANGED, COMMUTING, FREE, HIDDEN, LONE, MONITOR, SHIFT, TWINS, names_of
 from .reference import reference
 from .search import PARAMETERS, Hypothesis, Search
 
@@ -30,6 +31,10 @@ _DIFFERS = (
 )
 _FLEXIBLE = "A general black-box model fits better, so no single cause can be named with confidence."
 _LARGER = "A larger set of effects leaves less than half of the error, and does not need some of these effects."
+_ZERO = (
+    "The plant has a zero with a time constant of {} ms, or the input column is behind a low pass with this time "
+    "constant; these recordings do not separate the two, and no effect of the catalogue describes a zero."
+)
 
 
 @dataclass(frozen=True)
@@ -100,6 +105,10 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     taken = closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     p, rivals = _without_each(search, chosen, fractions)
+    if SHIFT.name in chosen.names:
+        return answer(
+            "unknown", reason=_ZERO.format(number(1e3 * chosen.fit.value(MONITOR), 3)), p=p, fractions=fractions
+        )
     if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
