@@ -142,3 +142,8 @@ def test_a_step_runs_with_and_without_64_bit_numbers(lagging, double, make, made
         assert carry.dtype == value.dtype == np.float32
         for one, other in zip(again, truth, strict=True):
             np.testing.assert_allclose(one, other, rtol=1e-6)
+
+
+def test_bytes_of_something_else_are_no_step():
+    with pytest.raises(BadInput, match="no bytes of a step"):
+        restore_step(b"a model file")

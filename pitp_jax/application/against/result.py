@@ -33,7 +33,8 @@ class SimToReal:
         pairs: recordings with the same command, and the offset of their clocks.
         parameters: the simulator's numbers, the robot's, and the difference.
         records: the robot's, less the offsets of the pairs.
-        corrections: added input per recording, base unit.
+        corrections: per recording what must be added to its input (V or the input's base unit, shape (samples,)) so
+            that the simulator's own model gives the robot's output.
     """
 
     robot: Diagnosis

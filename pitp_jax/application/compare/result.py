@@ -51,8 +51,8 @@ class Comparison(Shown):
     Attributes:
         kind: "models" or "records".
         names: of A and of B.
-        rows: every quantity of either.
-        remarks: further facts: lineage, clocks, recordings without a partner.
+        rows: every quantity that A or B has, with both values, and whether they differ by more than their errors.
+        remarks: further facts: which model was made from the other, offsets of clocks, recordings without a partner.
         pairs: of two sets of records, the recordings with the same command.
     """
 

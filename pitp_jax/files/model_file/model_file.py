@@ -45,7 +45,7 @@ def save(path: str | os.PathLike, model: Model | Fitted) -> None:
     """Write a model to a file, completely or not at all.
 
     Args:
-        path: the file; an existing one is replaced.
+        path: the file, of any name (usually .pitp); an existing one is replaced, its folder must exist.
         model: a `Fitted`, or a bare `Model`, whose origin is empty; leaves keep their dtype (float16, 32 or 64).
 
     Raises:

@@ -19,7 +19,9 @@ class Diagnosis:
     """A verdict on the errors of a model, with the reported effects, their evidence and the improved model.
 
     Attributes:
-        verdict: "explained", "partly", "no_gap" or "unknown".
+        verdict: "explained" (the effects are certain or tied, and nothing else can be predicted), "partly" (the same,
+            but more can be predicted), "no_gap" (the nominal errs no more than on its own recordings, or than the
+            sensor) or "unknown" (no effect is certain).
         effects: reported effects (parts beyond a linear equation, such as friction or a delay), most important first;
             empty unless explained or partly.
         equivalent: effects that these data do not separate from effects[0].
@@ -30,8 +32,9 @@ class Diagnosis:
         where: fractions of the error by recording, frequency, time, displacement, velocity and voltage.
         next_experiment: a voltage to record, which separates an effect from `equivalent` ones; or None.
         probability: per effect, P that the best set without it has a larger error.
-        fitted, heldout: record names; every record is predicted by a fit without it (with fewer than four records,
-            or one that shows the effect, every part by a fit without that part).
+        fitted: names of the recordings to which the returned model was fitted.
+        heldout: names of those whose errors in `gap` and `ranking` are of fits without them (with fewer than four
+            recordings, or one that shows the effect, of fits without the part in question); empty with one recording.
         folds: records left out together, or in parts.
         shift: in a refit, every refitted coefficient divided by the given one, shape (n + 1,) for order n.
         traces: every record with the outputs of the nominal and the returned model.

@@ -41,9 +41,9 @@ class Feedforward(Shown):
         time: s, shape (M,) as all arrays here: the target's clock, with the ramps before and after it.
         voltage: V, within the limits.
         infeasible: True where the target needs a force that no voltage produces (F < 0, by eq. 13).
-        saturated: True where it exceeds a voltage or slew limit.
-        target: True on the target's own samples.
-        wanted: the given target there, base unit; nan before and after.
+        saturated: True where the voltage that the model asks for exceeds a voltage or slew limit and was cut to it.
+        target: True on the samples of the given target, False on the ramps before and after it.
+        wanted: the given target there, base unit (m); nan on the ramps.
         outside_training_share: the larger of two fractions: of the target's samples, outside the trained region; of
             its energy, at frequencies and amplitudes that the model was not trained with.
         self_check_e_rms_percent: the model's own rollout of the voltage against the target (eq. 15); a check of the

@@ -30,10 +30,11 @@ class CompiledStep:
     """A compiled one-sample step with its state at rest.
 
     Attributes:
-        carry: state at rest, shape (C,), float32.
-        inputs: number of inputs per sample.
-        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled. If an input is not finite,
-            the output is nan and the carry does not change.
+        carry: state at rest, shape (C,), float32; pass it to the first call of `run`, then what `run` returned.
+        inputs: number of inputs per sample: 1 (V) of a decoder, n + 1 (y to y^(n), m/s^i) of an inverse of order n.
+        run: fn(carry, input of shape (inputs,)) -> (carry, output of shape ()), compiled; the output is a displacement
+            (m) of a decoder, a voltage (V) of an inverse. If an input is not finite, the output is nan and the carry
+            does not change.
         exported: the step itself; its `serialize()` (needs flatbuffers) gives bytes for `restore_step`.
     """
 
@@ -99,12 +100,19 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
 
     Returns:
         fn(carry of shape (C,), input of shape (inputs,)) -> (carry, output of shape ()), in float32, as
-        `CompiledStep.run`.
+        `CompiledStep.run`; the first carry is `CompiledStep.carry`, which is stored apart.
+
+    Raises:
+        BadInput: bytes of something else.
 
     Examples:
         >>> run = pitp.restore_step(pitp.decoder_step(model, 1e-3).exported.serialize())  # doctest: +SKIP
     """
-    return _compile(export.deserialize(bytearray(exported)))
+    try:
+        step = export.deserialize(bytearray(exported))
+    except Exception as problem:  # flatbuffers reads anything: the kinds of its errors are those of random offsets
+        raise BadInput("these are no bytes of a step; give those of `CompiledStep.exported.serialize()`") from problem
+    return _compile(step)
 
 
 def _compile(exported: export.Exported):

@@ -66,7 +66,10 @@ class NoMemory(AbstractMemory):
 
 
 class ElapsedTime(AbstractMemory, Constants):
-    """The time since the excitation started, divided by `horizon` (s): the paper's time input (eq. 4)."""
+    """The time since the excitation started, divided by `horizon` (s): the paper's time input (eq. 4).
+
+    `horizon`: longest recording of the training, s, so that the encoder sees 0 to 1.
+    """
 
     horizon: float = eqx.field(converter=number)
 

@@ -104,11 +104,14 @@ def sharded_rollout(
         model: the same in every process.
         voltage: this process's, V, shape (records, T).
         dt: sampling interval, s.
-        start: scaled initial states, shape (records, n + K).
+        start: scaled initial states, shape (records, n + K): order n, and K numbers of memories and effects.
         mesh: of `records_mesh`.
 
     Returns:
-        scaled states, shape (records, T, n + K).
+        scaled states, shape (records, T, n + K); the displacement in m is the first times `model.scales.state[0]`.
+
+    Raises:
+        BadInput: no record, or arrays of different numbers of records.
 
     Examples:
         >>> mesh, start = pitp.records_mesh(jax.devices()[:1]), pitp.rest_state(model)[None]

@@ -27,11 +27,15 @@ def free_run(
     Args:
         model: any: identified, trained, with effects.
         voltage: shape (time,), V.
-        state: initial state, scaled, as returned by `rest_state`; None starts at rest at 0 V.
+        state: initial state, scaled, shape (n + K,) with K numbers of memories and effects, as `rest_state` returns it;
+            None starts at rest at 0 V.
 
     Returns:
         displacement, shape (time,), m (SI unit of the model's recordings): 0 at 0 V, growing as the actuator extends
-        (behind a linear input with the sensor's sign).
+        (behind a linear input with the sensor's sign). Not finite from where the run diverges.
+
+    Raises:
+        BadInput: a voltage that is not one series of numbers.
 
     Examples:
         >>> x = pitp.free_run(model, 1000.0 * jnp.ones(200))

@@ -43,6 +43,9 @@ PARTS = {name: lookup(name) for name in ("delay", "sensor_lag")}
 class Settings:
     """The settings of a training. Brackets hold the paper's symbols (Algorithm 1, III-D).
 
+    Tokens are the coefficients of the equation of motion, which the encoder computes from the state; the physics
+    residual is what this equation leaves of the force on the recordings (eq. 12).
+
     Attributes:
         encoder: "compact", "paper", or "own", which `train(..., encoder=MODULE)` sets.
         width: hidden size of the compact encoder's nets.
