@@ -31,11 +31,6 @@ class Fault:
     early: float = 0.0
     lag: float = 0.0
 
-    @property
-    def is_acausal(self) -> bool:
-        """Return whether the output answers before the recorded input; otherwise a machine can be the cause."""
-        return self.early + self.lag > 0
-
     def corrected(self, records: Sequence[Record]) -> tuple[Record, ...]:
         """Return the records without the fault; samples without a partner are cut off."""
         return tuple(_later(_ahead(r, self.lag), self.early) for r in records)

@@ -33,7 +33,7 @@ from .gap import (
     spans,
 )
 from .handing_back import hand_back, package_error, with_own_errors
-from .library import AHEAD, CHANGED, CORE, EARLY, FREE, INDEX, MONITOR, SHIFT
+from .library import AHEAD, CHANGED, CORE, EARLY, FREE, INDEX, LATE, MONITOR, SHIFT
 from .next_experiment import Experiment, separate
 from .outcome import Diagnosis
 from .own_error import own_error, own_misfit
@@ -223,7 +223,9 @@ def _searched_without_fault(
                 refit and candidate.lag
             ):  # a zero of the plant does the same, and no other recording says that it has none
                 return outcome, fault, records
-            fault = candidate if candidate.is_acausal else fault
+            # beside a longer lag the output still follows the input, so a machine can be the cause
+            late = sum(best.fit.value(k) - outcome.search.case.nominal[INDEX[k]] for k in LATE)
+            fault = candidate if candidate.early + candidate.lag > late else fault
             records = fault.corrected(records)
         exclude = (*exclude, SHIFT.name)
         outcome = _searched(model, records, refit, exclude, limit)

@@ -261,6 +261,11 @@ PLACES = {spec: slice(int(a), int(b)) for spec, a, b in zip(ROWS, _ENDS, _ENDS[1
     slots_of_row(_BY_KEY[key]) for key in ("delay: pure", "sensor_lag: one lag", "sensor_lag: second order")
 )
 (EARLY,), (MONITOR, AHEAD) = map(slots_of_row, FAULTS)
+# times by which rows let the output follow the input later
+LATE = tuple(
+    slot for r in ROWS if r not in FAULTS for p, slot in zip(r.parameters, slots_of_row(r), strict=True)
+    if p.unit == "s" and p.off == 0.0
+)  # fmt: skip
 # parameters of a memory, and of the same law once more, by the name of the search
 DOUBLED = {group(r.name): (slots_of_row(r), slots_of_row(lookup(*r.second))) for r in ROWS if r.second}
 # names that are one parameter of the linear model, and those that recordings cannot separate
