@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from played import nominal_of, play
 
-from pitp_jax.method.diagnose import diagnosis
+from pitp_jax.method.diagnose import diagnosis, handing_back
 from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
 from pitp_jax.method.diagnose.search import Hypothesis, Search
+from pitp_jax.method.diagnose.verdict import Decision
 
 SAMPLES = 1000
 
@@ -104,6 +105,36 @@ def test_a_set_that_improves_one_of_many_records_is_judged_on_parts():
     assert accepted.single() is None
     # parts of fewer than four recordings are left out already
     assert compared(1, names="abc").single() is None and compared(4, blocks=4).single() is None
+
+
+def sized(errors: dict[tuple[str, ...], list[float]]) -> Any:
+    """A search that has tried sets of these errors, one for every record; the set without names is its base."""
+    search, size = bare_search(), len(next(iter(errors.values())))
+    for names, row in errors.items():
+        rows = [np.full(SAMPLES, e) for e in row]
+        made = Hypothesis(fit_of(*names), names, rows, evidence(rows, np.zeros(size)))
+        search.every[frozenset(names)] = made
+    search.base, search.own = search.every[frozenset()], 0.0
+    search.case = SimpleNamespace(blocks=1, series=range(size))
+    return search
+
+
+def test_what_three_of_seven_recordings_show_is_a_further_effect():
+    """One draw in eight holds fewer than two of the three: there the gain has less than its size, but is no chance."""
+    stop, three = [0.3] * 4, [0.1] * 3
+    search = sized({(): [1.0] * 7, ("lag",): [0.3] * 7, ("lag", "stop"): stop + three})
+    assert search.best().names == ("lag", "stop")
+    # of a size that does not count it is not accepted, however certain
+    small = sized({(): [1.0] * 7, ("lag",): [0.3] * 7, ("lag", "stop"): [0.26] * 7})
+    assert small.best().names == ("lag",)
+
+
+@pytest.mark.parametrize(("second", "kept"), [(0.56, ("friction",)), (0.5, ("friction", "clip"))])
+def test_a_part_more_is_handed_back_where_it_predicts_a_tenth_better(second, kept):
+    search = sized({(): [1.0] * 4, ("friction",): [0.6] * 4, ("friction", "clip"): [second] * 4})
+    bare = search.base.evidence
+    decision = Decision("unknown", search.base, (), {}, {}, {}, bare, bare, 0.0)
+    assert handing_back._largest(search, decision).names == kept
 
 
 @pytest.fixture(scope="module")

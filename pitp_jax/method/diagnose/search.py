@@ -530,7 +530,8 @@ class Search:
                 break
             h, more = self._fewest_numbers(level), depth - len(best.names)
             ratio = rules.FURTHER**more if best.names else rules.FIRST * rules.FURTHER ** (depth - 1)
-            if probability(h.evidence, best.evidence, ratio) >= rules.SURE:
+            # its size on these recordings, and that it is no chance: draws lack a stop that three of seven reach
+            if h.rms <= ratio * best.rms and probability(h.evidence, best.evidence, 1 - rules.GAIN) >= rules.SURE:
                 best = h
         return best
 
