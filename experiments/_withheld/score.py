@@ -31,8 +31,11 @@ def runs(model, case: Case, names) -> dict[str, np.ndarray]:
 
 
 def pooled(outputs: dict[str, np.ndarray], case: Case, names) -> float:
-    """Error of outputs in % of range, pooled over records, against noise-free ones; inf where a run diverged."""
-    shares = [np.mean((outputs[n] - case.true[n]) ** 2) / np.ptp(case.true[n]) ** 2 for n in names]
+    """Error of outputs in % of range, pooled over records, against noise-free ones; inf where a run diverged.
+
+    Of a record that a diagnosis has shifted in time the first samples are missing.
+    """
+    shares = [np.mean((outputs[n] - case.true[n][-len(outputs[n]) :]) ** 2) / np.ptp(case.true[n]) ** 2 for n in names]
     return 100 * float(np.nan_to_num(np.sqrt(np.mean(shares)), nan=np.inf))
 
 
