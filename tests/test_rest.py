@@ -492,3 +492,18 @@ def test_a_slow_plant_in_motion_keeps_the_known_offset_beside_a_wrong_model(seed
     rest, held = (of_kind(tuple, lsim(wrong, part.voltage - u, t))[1] + 2.3 * u for u in (0.0, part.voltage[0]))
     found = estimate_start(part, Response(rest, held, np.roots(wrong[1]), omega, (-6.0,), direction=1.0))
     assert (found.direction, found.zero) == (1.0, -6.0)
+
+
+def test_each_unknown_of_a_moving_start_makes_it_ten_times_less_probable():
+    """A run in motion that explains the readings a little better than the run from rest, beside a wrong model."""
+    x = motion(SINE)
+    part = first_part(record(SINE, x), OMEGA)
+    runs = (x * (1 + error * np.cos(9 * TIME)) for error in (0.004, 0.0))
+    rest, moving = (run[: part.samples] for run in runs)
+    odds = []
+    for fitted in (1, 2):
+        response = Response(rest, np.full(len(rest), np.nan), POLES, OMEGA, (0.0,), 1.0, moving, fitted)
+        begun = estimate_start(part, response)
+        moves = begun.certainty if begun.begins == "moving" else 1 - begun.certainty
+        odds.append(moves / (1 - moves))
+    assert odds[0] == pytest.approx(10 * odds[1], rel=1e-6)

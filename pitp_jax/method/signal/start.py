@@ -28,7 +28,8 @@ _PER_PERIOD, _BLOCKS, _FEWEST = 16, 160, 12  # blocks of a period, and at most; 
 _ERRORS = np.array([0.01, 0.03, 0.1, 0.3, 1.0])  # eta: relative errors of a model, equally probable
 _COLOURED = np.array([0.0, 0.001, 0.003, 0.01, 0.03, 0.1])  # a: slow noise of the sensor, of the span
 _LAGS = (0.0, 0.3, 1.0)  # rad of the dominant mode, by which the plant may follow the model
-_MOVING = 0.1  # probability of a start in motion in proportion to one at rest, and to a settled one
+# probability of a start in motion in proportion to others; again for the charge of stores (BIC of 100 blocks)
+_MOVING = 0.1
 _REVERSED = 0.01  # probability that a sensor is reversed, if the model's direction is known
 _CLEARLY, _TURNED = 0.5, 0.7  # rms error of a free run that is clearly better; of one with the other direction
 _SAME, _NEAR = 0.002, 4.0  # of the span, and standard errors: distance of an offset at rest from a known one
@@ -48,6 +49,7 @@ class Response:
         zeros: known sensor offsets, output unit.
         direction: usual sensor direction; 0 if unknown.
         moving: displacement from the state that its first samples show, shape (T,); None if unknown.
+        fitted: number of unknowns of `moving`, where its whole state counts as one and the charge of stores as another.
     """
 
     rest: np.ndarray
@@ -57,6 +59,7 @@ class Response:
     zeros: Sequence[float] = ()
     direction: float = 0.0
     moving: np.ndarray | None = None
+    fitted: int = 1
 
 
 def first_part(record: Record, omega: float, span: float | None = None) -> Record:
@@ -94,8 +97,6 @@ def _first_moved(record: Record) -> int:
 
 
 def _samples(record: Record, kept: np.ndarray) -> Record:
-    if len(kept) == record.samples:
-        return record
     time = record.time[0] + record.dt * np.arange(len(kept))
     return replace(record, time=time, voltage=record.voltage[kept], displacement=record.displacement[kept])
 
@@ -120,7 +121,9 @@ def estimate_start(part: Record, response: Response) -> Beginning:
         response: of a model to the input of this part.
     """
     kinds = _possible(part, response)
-    evidence = [_evidence(part, response, k) + (np.log(_MOVING) if k == "moving" else 0.0) for k in kinds]
+    evidence = [
+        _evidence(part, response, k) + (response.fitted * np.log(_MOVING) if k == "moving" else 0.0) for k in kinds
+    ]
     probability = dict(zip(kinds, np.exp(np.array(evidence) - logsumexp(evidence)), strict=True))
     first = max(kinds, key=lambda k: probability[k])
     certainty = float(probability[first])

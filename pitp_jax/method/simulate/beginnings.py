@@ -59,12 +59,12 @@ def beginnings(
     model: Model, records: Sequence[Record], ages: Sequence[float]
 ) -> tuple[list[Beginning], Float[np.ndarray, "records state"]]:
     """Return how each record starts, and its initial state."""
-    omega, dt, clock = model.natural_frequency, records[0].dt, np.asarray(ages, np.float64)
+    omega, dt, clock = model.natural_frequency, records[0].dt, np.asarray(ages, float)
     low, high = model.domain.voltage_range
     span = float(high - low) if np.isfinite(high - low) and high > low else None
     parts = [first_part(r, omega, span) for r in records]
-    size = max(p.samples for p in parts)
-    voltage = np.stack([np.pad(p.voltage, (0, size - p.samples), mode="edge") for p in parts])
+    lengths = [p.samples for p in parts]
+    voltage = np.stack([np.pad(p.voltage, (0, max(lengths) - p.samples), mode="edge") for p in parts])
     states = {
         "rest": evaluate(still, model, 0.0, 0.0, clock),
         "held": settled_states(model, voltage[:, 0], dt, clock),
@@ -73,10 +73,12 @@ def beginnings(
     start = np.concatenate(list(states.values()))
     readings = model.scales.state[0] * model_runs(model, np.tile(voltage, (3, 1)), dt, start)[1]
     poles = np.roots(np.nan_to_num(model.physical_coefficients[::-1]))
-    usual = (float(model.output.offset),), float(model.output.polarity)
+    known = poles, omega, (float(model.output.offset),), float(model.output.polarity)
     begun = [
-        estimate_start(p, Response(rest[: p.samples], held[: p.samples], poles, omega, *usual, moving[: p.samples]))
-        for p, rest, held, moving in zip(parts, *np.split(readings, 3), strict=True)
+        estimate_start(
+            p, Response(rest[:n], held[:n], *known, moving[:n], 1 + any(e.port == "IN" for e in model.effects))
+        )
+        for p, n, rest, held, moving in zip(parts, lengths, *np.split(readings, 3), strict=True)
     ]
     moving = [k for k, b in enumerate(begun) if b.begins == "moving"]
     if moving:  # with the sensor offset and direction that were decided

@@ -28,8 +28,8 @@ def initial_samples(model: Model, record: Record) -> int:
     follow the gap.
     """
     omega = model.natural_frequency
-    periods = 1.5 * 2 * np.pi / (omega * record.dt) if omega > 0 else np.inf
-    count = int(min(max(INITIAL_SAMPLES, round(min(periods, record.samples))), record.samples // 4))
+    periods = 3 * np.pi / (omega * record.dt) if omega > 0 else np.inf
+    count = round(min(max(INITIAL_SAMPLES, periods), record.samples // 4))
     return min(first_known(record) + count, record.samples)
 
 
@@ -54,7 +54,7 @@ def moving_states(
     best = np.zeros((len(records), size))
     best[:, [0, order]] = (np.nansum(x, 1) / np.maximum(seen.sum(1), 1))[:, None]
     best[:, -1] = [r.voltage.mean() / unit for r in records]
-    prior, steps = best, _STEP * np.eye(size, size + 1, 1).T
+    prior, steps = best, _STEP * np.eye(size + 1, size, -1)
 
     def starts(rows):
         flat = rows.reshape(-1, size)
