@@ -12,7 +12,7 @@ from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
-from pitp_jax.method.diagnose.search import Hypothesis, Search
+from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax.method.diagnose.verdict import Decision
 
 SAMPLES = 1000
@@ -127,6 +127,13 @@ def test_what_three_of_seven_recordings_show_is_a_further_effect():
     # of a size that does not count it is not accepted, however certain
     small = sized({(): [1.0] * 7, ("lag",): [0.3] * 7, ("lag", "stop"): [0.26] * 7})
     assert small.best().names == ("lag",)
+
+
+def test_changed_coefficients_are_the_last_step_of_a_set():
+    """They close more than the effect, but only the effect's own form is lacking."""
+    search = sized({(): [1.0], (PARAMETERS,): [0.3], ("drag",): [0.5], (PARAMETERS, "drag"): [0.2]})
+    steps = search.steps(search.every[frozenset([PARAMETERS, "drag"])])
+    assert [h.names for h in steps] == [("drag",), (PARAMETERS, "drag")]
 
 
 @pytest.mark.parametrize(("second", "kept"), [(0.56, ("friction",)), (0.5, ("friction", "clip"))])

@@ -568,12 +568,15 @@ class Search:
         return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
-        """Return the hypotheses from the base model to the chosen set, one more effect each, the best first."""
+        """Return the hypotheses from the base model to the chosen set, one more effect each, the best first.
+
+        Changed coefficients come last: beside an effect they take what its form lacks.
+        """
         steps: list[Hypothesis] = [self.linear] if self.refit else []
         have: frozenset = frozenset()
         while have != frozenset(chosen.names):
-            nexts = [self.every.get(have | {n}) for n in chosen.names if n not in have]
-            known = [h for h in nexts if h is not None]
+            more = {*chosen.names} - have - {PARAMETERS} or {PARAMETERS}
+            known = [h for h in (self.every.get(have | {n}) for n in more) if h is not None]
             step = min(known, key=lambda h: h.rms) if known else chosen
             # the last step ends at the chosen set, not at a similar one with other starts
             step = chosen if len(have) + 1 == len(chosen.names) else step
