@@ -1,4 +1,4 @@
-"""Choose the model to return: the best that beats the nominal model out of fold and in the package's simulation.
+"""Choose the model to return: the largest that surely predicts better than every smaller one and than the nominal.
 
 The search sees means of several samples, so the model is fitted to all samples, and it counts only if the user's
 rollout confirms it: its error is below the nominal model's, no recording's error grows by more than HARM, and it stays
@@ -39,7 +39,7 @@ _SHIFT, _GROWN = 1e-9, 100.0  # scaled shift of an initial state; times that it 
 def hand_back(
     search: Search, decision: Decision, model: Model, records, before: float
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
-    """Return the best hypothesis that beats the nominal out of fold (P >= SURE) and in the package's simulation.
+    """Return the largest hypothesis that surely predicts better, and beats the nominal in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.
