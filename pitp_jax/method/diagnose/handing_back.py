@@ -92,7 +92,7 @@ def surely_improves(h: Hypothesis, given: Hypothesis) -> bool:
 
 
 def _largest(search: Search, decision: Decision) -> Hypothesis:
-    """Return the largest set, from the judged one on, of which every step predicts surely better by 1 - FIRST.
+    """Return the largest set, from the judged one on, that predicts surely better by 1 - FIRST than the one before it.
 
     It may hold more parts than are named. Larger sets that are only a little better here are worse on other inputs: of
     a servo's elbow friction left 12 %, with a slew limit and a clip that its recordings reach once 38 %.
@@ -102,9 +102,8 @@ def _largest(search: Search, decision: Decision) -> Hypothesis:
         best = rival_without(search, best, {SHIFT.name})
     for depth in range(len(best.names) + 1, DEPTH + 1):
         sets = [h for h in search.level(depth, {SHIFT.name}) if {*decision.said} <= {*h.labels}]
-        more = depth - max(len(best.names), 1)
         h = min(sets, key=lambda h: h.evidence.bare.rms, default=best)
-        if probability(h.evidence.bare, best.evidence.bare, rules.FIRST**more) >= rules.SURE:
+        if probability(h.evidence.bare, best.evidence.bare, rules.FIRST if depth > 1 else 1.0) >= rules.SURE:
             best = h
     return best
 
