@@ -266,8 +266,8 @@ def test_an_input_behind_a_low_pass_is_told_and_taken_out(nominal):
 
 
 @pytest.mark.slow
-def test_a_zero_of_a_plant_is_no_fault_of_its_recordings():
-    """SciPy's plant with a zero of 0.4 s, refitted: no name, its time is told, the recordings stay as they are."""
+def test_a_zero_of_a_plant_is_not_taken_for_a_fault_of_its_recordings():
+    """SciPy's plant with a zero of 0.4 s, refitted: the zero is reported, and the recordings stay as they are."""
     tau, rng, time = 0.4, np.random.default_rng(7), np.arange(1500) / 50
     plant = ([tau, 1.0], [0.04, 0.12, 1.0])
     steps = np.repeat(rng.uniform(-1, 1, 25), 60)

@@ -144,6 +144,6 @@ def test_a_step_runs_with_and_without_64_bit_numbers(lagging, double, make, made
             np.testing.assert_allclose(one, other, rtol=1e-6)
 
 
-def test_bytes_of_something_else_are_no_step():
-    with pytest.raises(BadInput, match="no bytes of a step"):
+def test_bytes_of_something_else_are_refused():
+    with pytest.raises(BadInput, match="do not hold a step"):
         restore_step(b"a model file")

@@ -9,9 +9,11 @@ from played import nominal_of, play
 
 from pitp_jax.method.diagnose import diagnosis, handing_back
 from pitp_jax.method.diagnose.budget import Budget
+from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
+from pitp_jax.method.diagnose.library import EARLY, INDEX, MONITOR, NAMES
 from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax.method.diagnose.verdict import Decision
 
@@ -120,7 +122,7 @@ def sized(errors: dict[tuple[str, ...], list[float]]) -> Any:
 
 
 def test_what_three_of_seven_recordings_show_is_a_further_effect():
-    """One draw in eight holds fewer than two of the three: there the gain has less than its size, but is no chance."""
+    """One draw in eight holds fewer than two of the three: the gain there is smaller, and still a gain."""
     stop, three = [0.3] * 4, [0.1] * 3
     search = sized({(): [1.0] * 7, ("lag",): [0.3] * 7, ("lag", "stop"): stop + three})
     assert search.best().names == ("lag", "stop")
@@ -142,6 +144,36 @@ def test_a_part_more_is_handed_back_where_it_predicts_a_tenth_better(second, kep
     bare = search.base.evidence
     decision = Decision("unknown", search.base, (), {}, {}, {}, bare, bare, 0.0)
     assert handing_back._largest(search, decision).names == kept
+
+
+RC, LOW_PASS = "electrode_rc: one lag, tau", {MONITOR: 0.02}
+
+
+@pytest.mark.parametrize(
+    ("found", "refit", "fault"),
+    [
+        ({EARLY: 0.013, RC: 0.001}, False, Fault(early=0.013)),
+        ({EARLY: 0.001, RC: 0.013}, False, Fault()),  # the second section of an electrode's lag
+        (LOW_PASS, False, Fault(lag=0.02)),
+        (LOW_PASS, True, Fault()),  # a zero of the plant
+    ],
+)
+def test_only_what_a_machine_cannot_do_is_a_fault_of_the_recordings(linear, monkeypatch, found, refit, fault):
+    """Each lead is certain; beside a longer lag, or in a refit, a machine answers in the same way."""
+    slots = np.zeros(len(NAMES))
+    for name, value in found.items():
+        slots[INDEX[name]] = value
+    best = hypothesis(Fit(("clock_shift",), tuple(found), slots, np.zeros((1, 2))), 1.0)
+    search = bare_search()
+    search.best, search.case = lambda: best, SimpleNamespace(nominal=np.zeros(len(NAMES)))
+    outcome = diagnosis._Searched(search, 4, 1.0, 0.0, 0.0, 0.0, "", False)
+    monkeypatch.setattr(diagnosis, "_searched", lambda *given: outcome)
+    monkeypatch.setattr(diagnosis, "rival_without", lambda *given: best)
+    monkeypatch.setattr(diagnosis, "needed", lambda *given: 1.0)
+    nominal = nominal_of(linear)
+    records = play(nominal)[:1]
+    _, taken, left = diagnosis._searched_without_fault(nominal, records, refit, (), Budget())
+    assert taken == fault and (left[0] is records[0]) == (fault == Fault())
 
 
 @pytest.fixture(scope="module")

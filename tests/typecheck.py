@@ -87,7 +87,7 @@ _checks: dict[tuple, "_Check"] = {}
 
 
 def _of_text(annotation, names):
-    """The annotation without strings; `Any` where a name is known to the type checker alone."""
+    """The annotation without strings; `Any` where only the type checker knows a name."""
 
     def known():
         """Carry the annotation."""
