@@ -74,7 +74,7 @@ def test_they_are_the_normal_equations_and_the_prior(problem):
 def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
     """Thirteen runs in parts of equal size, a core has at least four: the sums of all at once, to rounding."""
     truth = sums(built(problem, mesh=records_mesh(jax.devices()[:1])), problem[3])
-    monkeypatch.setattr(free_run_problem, "_cores", lambda: cores)
+    monkeypatch.setattr(free_run_problem, "cores", lambda: cores)
     shared = built(problem)
     assert [part.voltage.shape[1] for part in shared._parts] == [200] * min(cores, 3) + [90]
     assert len({part.voltage.shape for part in shared._parts}) == 2
@@ -86,7 +86,7 @@ def test_runs_are_shared_among_cores(problem, cores, monkeypatch):
 @pytest.mark.slow
 def test_very_many_are_cut(problem, monkeypatch):
     """Beyond what stays in a core's memory: more parts than cores."""
-    monkeypatch.setattr(free_run_problem, "_cores", lambda: 2)
+    monkeypatch.setattr(free_run_problem, "cores", lambda: 2)
     monkeypatch.setattr(free_run_problem, "_MOST_RUNS", 3)
     cut = built(problem)
     assert [part.voltage.shape for part in cut._parts] == [(3, 200)] * 5 + [(3, 90)]

@@ -22,7 +22,7 @@ import numpy as np
 from ... import __version__
 from ...common.errors import BadInput, refuse_if
 from ...common.page import Link, Page
-from ...files.recordings.writing import is_stream, write_text_atomic
+from ...files.recordings.writing import is_stream, put_in_place, write_text_atomic
 from .ours import check_folder_replaceable, check_replaceable, is_page
 
 MODEL, REPORT, INDEX = "model_augmented", "report.html", "index.html"  # a diagnosis's model, a page, the links to all
@@ -126,9 +126,7 @@ def _staged_file(path: str | None) -> Iterator[str | None]:
     try:
         yield str(stage)
         if stage.exists():
-            if target.exists():
-                os.chmod(stage, target.stat().st_mode & 0o7777)  # the mode stays
-            os.replace(stage, target)
+            put_in_place(stage, target)
     except BadInput as error:
         raise BadInput(str(error).replace(str(stage), str(target))) from None
     finally:

@@ -54,12 +54,17 @@ def _replace(target: Path, data: bytes) -> None:
             file.flush()
             # before the rename; otherwise a power cut leaves an empty file
             os.fsync(file.fileno())
-        if target.exists():
-            os.chmod(temporary, target.stat().st_mode & 0o7777)  # the mode stays
-        os.replace(temporary, target)
+        put_in_place(temporary, target)
     except BaseException:  # an interrupt must not leave the temporary file either
         temporary.unlink(missing_ok=True)
         raise
+
+
+def put_in_place(stage: Path, target: Path) -> None:
+    """Move a finished file to its place; the mode of a file that it replaces stays."""
+    if target.exists():
+        os.chmod(stage, target.stat().st_mode & 0o7777)
+    os.replace(stage, target)
 
 
 def _remedy(error: OSError) -> str:

@@ -39,12 +39,12 @@ from .outcome import Diagnosis
 from .own_error import own_error, own_misfit
 from .parts import Parts, parts_of
 from .result import Added, added_of, errors_of, factors_of, ranking_of
-from .search import Hypothesis, Search
+from .search import Hypothesis, Search, needed
 from .select_records import usable
 from .shares import budget as budget_of
 from .term import term_of
 from .traces import traces_of
-from .verdict import Decision, decide, needed, rival_without, separable
+from .verdict import Decision, decide, rival_without, separable
 from .where import locate, motions, nowhere
 
 T = TypeVar("T")
@@ -219,14 +219,13 @@ def _searched_without_fault(
     if SHIFT.name in best.names and not outcome.interrupted:
         if needed(best, rival_without(outcome.search, best, {SHIFT.name})) >= rules.SURE:
             candidate = Fault(best.fit.value(EARLY) + best.fit.value(AHEAD), best.fit.value(MONITOR))
-            if (
-                refit and candidate.lag
-            ):  # a zero of the plant does the same, and no other recording says that it has none
+            # in a refit no other recording says that the plant has no zero, which does the same as this lag
+            if refit and candidate.lag:
                 return outcome, fault, records
             # beside a longer lag the output still follows the input, so a machine can be the cause
             late = sum(best.fit.value(k) - outcome.search.case.nominal[INDEX[k]] for k in LATE)
-            fault = candidate if candidate.early + candidate.lag > late else fault
-            records = fault.corrected(records)
+            if candidate.early + candidate.lag > late:
+                fault, records = candidate, candidate.corrected(records)
         exclude = (*exclude, SHIFT.name)
         outcome = _searched(model, records, refit, exclude, limit)
     return outcome, fault, records

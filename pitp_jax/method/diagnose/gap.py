@@ -14,6 +14,7 @@ from ..signal.initial_state import noise_std
 from . import rules
 from .data import Case
 from .evidence import Evidence
+from .own_error import geometric_mean
 from .search import Hypothesis, Search
 from .shares import energies
 from .verdict import Decision
@@ -133,8 +134,8 @@ def floor_percent(spans: np.ndarray, own: float) -> float:
 def _noise(case: Case) -> float:
     """Return the sensor's white noise (rms, scaled), the geometric mean over records."""
     scale = float(case.model.scales.state[0])
-    each = [float(noise_std(s.record.displacement)) / scale for s in case.series]
-    return float(np.exp(np.mean(np.log(np.maximum(each, 1e-12)))))
+    each = [noise_std(s.record.displacement) / scale for s in case.series]
+    return geometric_mean(np.maximum(each, 1e-12))
 
 
 def beside_noise(case: Case, lacking: float, averaged: int) -> float:
@@ -152,5 +153,4 @@ def explains_most(outputs: Sequence[np.ndarray], own: float) -> bool:
 
     A larger error shows what the model lacks, and is no measure of the noise.
     """
-    deviations = [np.std(y) for y in outputs]
-    return own < rules.LISTED * float(np.exp(np.mean(np.log(np.maximum(deviations, 1e-300)))))
+    return own < rules.LISTED * geometric_mean(np.array([np.std(y) for y in outputs]))

@@ -27,7 +27,7 @@ from .data import Case, build_case
 from .evidence import probability
 from .fit import Fit, Fitter
 from .library import CORE, FREE, SHIFT, model_of
-from .own_error import residual
+from .own_error import geometric_mean, residual
 from .search import DEPTH, PARAMETERS, STEPS, Hypothesis, Search
 from .traces import Trace
 from .verdict import Decision, rival_without
@@ -49,11 +49,10 @@ def hand_back(
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     alone, whole = decision.alone, cache(lambda: fitter_of_all(search.case, search.fitter))
-    tried = [decision.chosen]
+    sets = [decision.chosen]
     if decision.verdict != "no_gap":  # without a gap an effect would fit noise
-        tried = [_largest(search, decision), *tried, *search.level(1)[:2]]
-    tried += [search.base, search.linear]
-    for h in tried:
+        sets = [_largest(search, decision), *sets, *search.level(1)[:2]]
+    for h in {id(h): h for h in (*sets, search.base, search.linear)}.values():
         if not h.fit.free or SHIFT.name in h.names or not surely_improves(h, search.given):
             continue
         # parameters shared by machines that differ predict none of them
@@ -103,6 +102,7 @@ def _largest(search: Search, decision: Decision) -> Hypothesis:
     for depth in range(len(best.names) + 1, DEPTH + 1):
         sets = [h for h in search.level(depth, {SHIFT.name}) if {*decision.said} <= {*h.labels}]
         h = min(sets, key=lambda h: h.evidence.bare.rms, default=best)
+        # a first part need only predict better
         if probability(h.evidence.bare, best.evidence.bare, rules.FIRST if depth > 1 else 1.0) >= rules.SURE:
             best = h
     return best
@@ -142,8 +142,8 @@ def is_steady(model: Model, records: Sequence[Record]) -> bool:
 def is_bounded(made: Model, records: Sequence[Record]) -> bool:
     """Return whether the model stays bounded from rest under every input, scaled up to the model's largest voltage."""
     own = [abs(v) for v in map(float, made.domain.voltage_range) if np.isfinite(v)]
-    top = max(*own, 0.0, *(float(np.abs(r.voltage).max()) for r in records))
-    played = ((r, top / max(float(np.abs(r.voltage).max()), 1e-9)) for r in records)
+    tops = [max(float(np.abs(r.voltage).max()), 1e-9) for r in records]
+    played = ((r, max(own + tops) / top) for r, top in zip(records, tops, strict=True))
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
@@ -181,7 +181,7 @@ def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Reco
 
 def package_error(model: Model, records: Sequence[Record]) -> float:
     """Return the geometric mean over records of the free-run error, offset removed; infinite if a run diverges."""
-    return float(np.exp(np.mean(np.log(package_errors(model, records) + 1e-300))))
+    return geometric_mean(package_errors(model, records))
 
 
 def package_errors(model: Model, records: Sequence[Record]) -> np.ndarray:

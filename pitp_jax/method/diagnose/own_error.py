@@ -44,12 +44,12 @@ class OwnError:
     @property
     def spans(self) -> np.ndarray:
         """Return the measured range of every recording, shape (records,), base unit."""
-        return np.array([np.nanmax(t.measured) - np.nanmin(t.measured) for t in self.traces])
+        return np.array([t.span for t in self.traces])
 
     def ratio(self, residuals: Sequence[np.ndarray]) -> float:
         """Return errors over the nominal's own, the geometric mean over recordings; at least 1."""
         rms = np.sqrt([np.nanmean(e**2) for e in residuals])
-        return float(np.exp(np.mean(np.log(np.maximum(rms, self.own) / self.own))))
+        return geometric_mean(np.maximum(rms, self.own) / self.own)
 
     def percent(self, rms: np.ndarray) -> float:
         """Pool rms errors of the recordings, in % of their ranges."""
@@ -65,7 +65,7 @@ def own_error(model: Model, records: Sequence[Record]) -> OwnError:
 
 def residual(run: np.ndarray, trace: Trace) -> np.ndarray:
     """Return the error of a simulation: nan where nothing was measured, a large value where it diverged."""
-    far = _FAR * (np.nanmax(trace.measured) - np.nanmin(trace.measured))
+    far = _FAR * trace.span
     error = np.nan_to_num(run - trace.measured, nan=far, posinf=far, neginf=-far)
     return np.where(np.isfinite(trace.measured), np.clip(error, -far, far), np.nan)
 
@@ -80,20 +80,21 @@ def own_misfit(model: Model, records: Sequence[Record]) -> tuple[float, str]:
     product with the robot's noise would hide any gap.
     """
     origin, noises = fitted_of(model).origin, _noises(records)
+    source = "its error on the recordings it was made from"
     if np.isfinite(origin.misfit):
-        noise = origin.noise if origin.noise > 0 else _mean(noises)
-        return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), "its error on the recordings it was made from"
+        noise = origin.noise if origin.noise > 0 else geometric_mean(noises)
+        return float(noise * np.sqrt(max(origin.misfit**2 - 1, 0.0))), source
     if np.isfinite(origin.level):
-        rms = origin.level / 100 * _mean(np.array([r.span for r in records]))
-        return float(np.sqrt(max(rms**2 - _mean(noises) ** 2, 0.0))), "its error on the recordings it was made from"
+        rms = origin.level / 100 * geometric_mean(np.array([r.span for r in records]))
+        return float(np.sqrt(max(rms**2 - geometric_mean(noises) ** 2, 0.0))), source
     return 0.0, "the sensor's noise, because the model file holds no error of its own"
 
 
 def _noises(records: Sequence[Record]) -> np.ndarray:
     """Return the sensor's white noise of every recording, rms in the base unit, shape (records,)."""
-    return np.array([float(noise_std(r.displacement)) for r in records])
+    return np.array([noise_std(r.displacement) for r in records])
 
 
-def _mean(values: np.ndarray) -> float:
-    """Return the geometric mean."""
+def geometric_mean(values: np.ndarray) -> float:
+    """Return the geometric mean of positive values, to which recordings of any size contribute equally."""
     return float(np.exp(np.mean(np.log(np.maximum(values, 1e-300)))))

@@ -30,8 +30,8 @@ from .evidence import probability
 from .library import CHANGED, FREE, INDEX, LOGARITHM, ROWS, SHAPE, group, slots_of_row
 from .next_experiment import Experiment, separate
 from .result import errors_of, factor_name, factors_of, in_units, longest_time
-from .search import PARAMETERS, Hypothesis, Search
-from .verdict import Decision, closing_fractions, needed, rival_without
+from .search import PARAMETERS, Hypothesis, Search, needed
+from .verdict import Decision, closing_fractions, rival_without
 
 _NORMAL = 1.96  # standard deviations in half of a 95 % interval
 _FARTHEST = 5.0  # of a logarithm's error: a factor of e^10 is not a usable estimate
@@ -253,4 +253,4 @@ def _coordinates(slots: np.ndarray, places: Sequence[int]) -> np.ndarray:
 
 def _is_as_good(other: Hypothesis, h: Hypothesis) -> bool:
     """Return whether another hypothesis with effects is not certainly worse than the returned one, by GAIN."""
-    return bool(other.names) and probability(h.evidence, other.evidence, 1 - rules.GAIN) < rules.SURE
+    return bool(other.names) and needed(h, other) < rules.SURE

@@ -89,6 +89,14 @@ class Hypothesis:
         return own.rms <= times * error
 
 
+def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
+    """Return the probability that the rival's error is larger by at least GAIN.
+
+    A smaller difference depends on the simulator's own error.
+    """
+    return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
+
+
 class Search:
     """A search over sets of effects; it stores every hypothesis that was tried."""
 
@@ -349,12 +357,7 @@ class Search:
                 slots, free = f.slots.copy(), (*f.free, *second)
                 slots[[INDEX[k] for k in second]] = 0.3 * f.value(strength), ratio * f.value(tau)
                 more.append((n, f.anew(free=free, slots=slots)))
-        self.fitter.fit([f for _, f in more], STEPS)
-        best = list(fits)
-        for n, f in more:
-            if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
-                best[n] = f
-        return best
+        return self._improved(fits, more)
 
     def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
         """Refit the best sets of effects on every linear structure; keep one if its error is lower by GAIN.
@@ -362,7 +365,7 @@ class Search:
         The first steps would rank structures by how well a wrong effect fits them: friction without its mass had six
         times the error.
         """
-        many, best = [], list(fits)
+        many = []
         for n in sorted(range(len(fits)), key=lambda n: fits[n].cost)[:BEAM]:
             f = fits[n]
             own = {k for r in ROWS if group(r.name) in f.names for k in slots_of_row(r)}
@@ -375,8 +378,13 @@ class Search:
                 kept = [INDEX[k] for k in (*own, *({*structure.fit.free} & {*f.free}))]
                 slots[kept] = f.slots[kept]
                 many.append((n, f.anew(free=free, slots=slots)))
-        self.fitter.fit([f for _, f in many], STEPS)
-        for n, f in many:
+        return self._improved(fits, many)
+
+    def _improved(self, fits: Sequence[Fit], tried: Sequence[tuple[int, Fit]]) -> list[Fit]:
+        """Fit further sets, each with the index of the fit that it replaces where its error is lower by GAIN."""
+        self.fitter.fit([f for _, f in tried], STEPS)
+        best = list(fits)
+        for n, f in tried:
             if f.cost < best[n].cost and self._leaves_less(f, fits[n]):
                 best[n] = f
         return best
@@ -433,7 +441,7 @@ class Search:
         while len(candidates) > 1:
             fits = [self._put_back(kept.fit, k) for k in candidates]
             tried = self._scored([f for f in self.fitter.fit(fits, STEPS) if np.isfinite(f.cost)])
-            good = [h for h in tried if probability(kept.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
+            good = [h for h in tried if needed(kept, h) < rules.SURE]
             if not good:
                 break
             kept = min(good, key=lambda h: h.evidence.bare.rms)
@@ -530,8 +538,8 @@ class Search:
                 break
             h, more = self._fewest_numbers(level), depth - len(best.names)
             ratio = rules.FURTHER**more if best.names else rules.FIRST * rules.FURTHER ** (depth - 1)
-            # its size on these recordings, and that it is no chance: draws lack a stop that three of seven reach
-            if h.rms <= ratio * best.rms and probability(h.evidence, best.evidence, 1 - rules.GAIN) >= rules.SURE:
+            # its size on these recordings, and P that it gains at all: draws may lack a stop that three of seven reach
+            if h.rms <= ratio * best.rms and needed(h, best) >= rules.SURE:
                 best = h
         return best
 
@@ -556,16 +564,14 @@ class Search:
             others = {*best.names} - {PARAMETERS}
             return self._plainer(level, best, lambda h: others <= {*h.names} and bool({*h.names} & {*LONE} - others))
         # fewer parameters win a tie, because they had less room to fit by chance
-        few = [h for h in level if len(h.fit.free) < len(best.fit.free)]
-        as_good = [h for h in few if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE]
+        as_good = (h for h in level if len(h.fit.free) < len(best.fit.free) and needed(best, h) < rules.SURE)
         return min(as_good, key=lambda h: (len(h.fit.free), h.rms), default=best)
 
     @staticmethod
     def _plainer(level: list[Hypothesis], best: Hypothesis, plain: Callable[[Hypothesis], bool]) -> Hypothesis:
         if plain(best):
             return best
-        doubts = (h for h in level if plain(h))
-        return next((h for h in doubts if probability(best.evidence, h.evidence, 1 - rules.GAIN) < rules.SURE), best)
+        return next((h for h in level if plain(h) and needed(best, h) < rules.SURE), best)
 
     def steps(self, chosen: Hypothesis) -> list[Hypothesis]:
         """Return the hypotheses from the base model to the chosen set, one more effect each, the best first.

@@ -22,6 +22,11 @@ class Trace:
     nominal: np.ndarray
     augmented: np.ndarray
 
+    @property
+    def span(self) -> float:
+        """Return the measured range, in the measured unit."""
+        return float(np.nanmax(self.measured) - np.nanmin(self.measured))
+
 
 def traces_of(nominal: Model, augmented: Model, records: Sequence[Record]) -> tuple[Trace, ...]:
     """Simulate every record with the nominal model and with the returned model."""

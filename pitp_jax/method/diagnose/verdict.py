@@ -23,7 +23,7 @@ from . import rules
 from .evidence import Evidence, probability
 from .library import CHANGED, COMMUTING, FREE, HIDDEN, LONE, MONITOR, SHIFT, TWINS, names_of
 from .reference import reference
-from .search import PARAMETERS, Hypothesis, Search
+from .search import PARAMETERS, Hypothesis, Search, needed
 
 _DIFFERS = (
     "Separate linear models for each recording predict better than any common model. Were all recordings made on the "
@@ -105,13 +105,11 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     taken = closing_fractions(search, chosen)
     fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
     p, rivals = _without_each(search, chosen, fractions)
-    if SHIFT.name in chosen.names:
-        return answer(
-            "unknown", reason=_ZERO.format(number(1e3 * chosen.fit.value(MONITOR), 3)), p=p, fractions=fractions
-        )
     if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
     seen: dict[str, Any] = {"p": p, "fractions": fractions}
+    if SHIFT.name in chosen.names:
+        return answer("unknown", reason=_ZERO.format(number(1e3 * chosen.fit.value(MONITOR), 3)), **seen)
     # a reference on the refitted linear model includes changed coefficients, so the one on the base is their rival
     moved = set(chosen.names) <= {PARAMETERS, *LONE}
     flexible = bars[0] if moved else bar
@@ -156,14 +154,6 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     open_ = more >= rules.SURE or deepest is not None or probability(flexible, chosen.evidence) >= rules.LIKELY
     verdict = "partly" if open_ and not settled else "explained"
     return answer(verdict, said, tied, **seen)
-
-
-def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
-    """Return the probability that the rival's error is larger by at least GAIN.
-
-    A smaller difference depends on the simulator's own error.
-    """
-    return probability(chosen.evidence, rival.evidence, 1 - rules.GAIN)
 
 
 def _without_each(search: Search, chosen: Hypothesis, fractions: dict[str, float]):

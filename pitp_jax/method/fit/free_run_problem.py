@@ -6,7 +6,6 @@ A scan over a batch of runs keeps one core busy: on a CPU the batches are cut in
 mesh every device has its own runs; their derivatives stay there, and only sums of P and P^2 numbers are transferred.
 """
 
-import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Protocol, runtime_checkable
@@ -18,6 +17,7 @@ from jax.sharding import Mesh
 from jaxtyping import Array
 
 from ..model.model import Model
+from ..simulate.compiled.kernel import cores
 from ..simulate.devices import over_records, spread
 from .forward_sensitivity import Runs, run_errors, run_slopes
 from .lower_bound import UNBOUNDED, LowerBound
@@ -116,7 +116,7 @@ class FreeRuns:
         if len(self._parts) == 1:
             return [function(here, self._parts[0], *self._how)]
         # threads instead of processes: XLA releases the interpreter while it runs, and arrays need no copy
-        with ThreadPoolExecutor(_cores()) as pool:
+        with ThreadPoolExecutor(cores()) as pool:
             return list(pool.map(lambda part: function(here, part, *self._how), self._parts))
 
 
@@ -124,10 +124,4 @@ def _parts_of(runs: int) -> int:
     """Return the number of parts that so many simulations are cut into; 1 on a GPU."""
     if jax.default_backend() != "cpu":
         return 1
-    return max(min(_cores(), runs // _FEWEST_RUNS), -(-runs // _MOST_RUNS), 1)
-
-
-def _cores() -> int:
-    """Return the number of cores that this process may use."""
-    # a container or `taskset` may allow fewer than the machine has; macOS and Windows do not report it
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(min(cores(), runs // _FEWEST_RUNS), -(-runs // _MOST_RUNS), 1)

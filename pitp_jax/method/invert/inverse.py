@@ -64,7 +64,7 @@ def inverse(
     if kind not in ("closed_form", "discrete"):
         raise BadInput(f"kind {kind!r} is not 'closed_form' or 'discrete'")
     model = model_of(model)
-    displacement = signal(displacement, model.coefficients.dtype, "displacement")
+    displacement = signal(model, displacement, "displacement")
     return _inverse(model, displacement, model.dt, kind, zero)
 
 

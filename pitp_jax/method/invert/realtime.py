@@ -111,7 +111,7 @@ def restore_step(exported: bytes) -> Callable[[Array, Array], tuple[Array, Array
     try:
         step = export.deserialize(bytearray(exported))
     except Exception as problem:  # flatbuffers reads anything: the kinds of its errors are those of random offsets
-        raise BadInput("these are no bytes of a step; give those of `CompiledStep.exported.serialize()`") from problem
+        raise BadInput("the bytes do not hold a step; give those of `CompiledStep.exported.serialize()`") from problem
     return _compile(step)
 
 

@@ -53,14 +53,14 @@ def on_device(values, dtype=None) -> Array:
     return jax.device_put(np.asarray(values, dtype))
 
 
-def signal(values, dtype, name: str) -> Array:
-    """Convert one recording's signal to an array of this precision, shape (time,).
+def signal(model, values, name: str) -> Array:
+    """Convert one recording's signal to an array of the model's precision, shape (time,).
 
     Raises:
         BadInput: something else than numbers, or several recordings.
     """
     try:
-        array = jnp.asarray(values, dtype)
+        array = jnp.asarray(values, model.coefficients.dtype)
     except (TypeError, ValueError):
         raise BadInput(f"{name} is a {type(values).__name__}, not an array of numbers") from None
     if array.ndim != 1:

@@ -55,8 +55,7 @@ def memory_along(
         (64, 0)
     """
     model = model_of(model)
-    displacement = signal(displacement, model.coefficients.dtype, "displacement")
-    return _memory_along(model, displacement, model.dt, zero)
+    return _memory_along(model, signal(model, displacement, "displacement"), model.dt, zero)
 
 
 @jit
@@ -87,8 +86,7 @@ def tokens_along(
         True
     """
     model = model_of(model)
-    displacement = signal(displacement, model.coefficients.dtype, "displacement")
-    return _tokens_along(model, displacement, model.dt, zero)
+    return _tokens_along(model, signal(model, displacement, "displacement"), model.dt, zero)
 
 
 @jit

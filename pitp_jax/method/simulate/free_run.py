@@ -44,7 +44,7 @@ def free_run(
         ((200,), (200,))
     """
     model = model_of(model)
-    return _free_run(model, signal(voltage, model.coefficients.dtype, "voltage"), model.dt, state)
+    return _free_run(model, signal(model, voltage, "voltage"), model.dt, state)
 
 
 @jit

@@ -57,8 +57,7 @@ def residual(
         True
     """
     model = model_of(model)
-    dtype = model.coefficients.dtype
-    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
+    u, x = signal(model, voltage, "voltage"), signal(model, displacement, "displacement")
     return _measured(model, u, x, model.dt, cutoff_hz, zero)[0]
 
 
@@ -91,8 +90,7 @@ def residual_loss(
         True
     """
     model = model_of(model)
-    dtype = model.coefficients.dtype
-    u, x = signal(voltage, dtype, "voltage"), signal(displacement, dtype, "displacement")
+    u, x = signal(model, voltage, "voltage"), signal(model, displacement, "displacement")
     return _loss(model, u, x, model.dt, cutoff_hz, zero, box, width, penalty)
 
 

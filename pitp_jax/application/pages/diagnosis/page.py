@@ -140,9 +140,8 @@ def _records(d: Diagnosis) -> Table:
     rows, of_gap = [], d.where["records"]
     for t in sorted(d.traces, key=lambda t: -of_gap.get(t.name, 0.0)):
         before, after = errors(t)
-        span = float(np.nanmax(t.measured) - np.nanmin(t.measured))
         used, seconds = "held out" if t.heldout else "fitted", float(t.time[-1] - t.time[0])
-        numbers = (seconds, scale * span, before, after)
+        numbers = (seconds, scale * t.span, before, after)
         rows.append((t.name, used, str(len(t.time)), *numbers, percent(of_gap.get(t.name))))
     header = (
         "recording", "used", "samples", "length (s)", f"range ({unit})", "model, error %", "after, error %",

@@ -58,7 +58,7 @@ class Kernel:
             source, target = (p[first * self.width :] for p in places)
             self.run(*size, *(a.ctypes.data for a in (*here, source, columns, target, outputs)))
 
-        threads = min(blocks, _threads()) if runs * steps > _SPREAD else 1
+        threads = min(blocks, cores()) if runs * steps > _SPREAD else 1
         ends = np.linspace(0, blocks, threads + 1).astype(int).tolist()
         if threads == 1:
             part(0, blocks)
@@ -115,7 +115,9 @@ def _split(step: Callable, parameters: int, states: int, inputs: tuple[int, ...]
         return split(step, parameters, states, inputs)
 
 
-def _threads() -> int:
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    # a container or `taskset` may allow fewer than the machine has; macOS and Windows do not report it
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
