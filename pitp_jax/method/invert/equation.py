@@ -41,8 +41,7 @@ def force_and_voltage(
     """
     memory = model.memory.trajectory(equation[:, 0], dt, start)
     force = force_along(model, equation, memory)
-    film = film_voltage(model, force)
-    return force, model.drive.lead(film, dt), memory
+    return force, model.drive.lead(film_voltage(model, force), dt), memory
 
 
 @jit

@@ -64,8 +64,7 @@ def inverse(
     if kind not in ("closed_form", "discrete"):
         raise BadInput(f"kind {kind!r} is not 'closed_form' or 'discrete'")
     model = model_of(model)
-    displacement = signal(model, displacement, "displacement")
-    return _inverse(model, displacement, model.dt, kind, zero)
+    return _inverse(model, signal(model, displacement, "displacement"), model.dt, kind, zero)[:2]
 
 
 @jit
@@ -74,7 +73,8 @@ def _inverse(model: Model, displacement: Float[Array, " time"], dt, kind: Kind, 
     force, voltage, features = invert_path(model, equation, dt)
     if kind == "discrete":
         voltage = ports.played(model, along_motion(model, force, features, dt), dt, exact=True)
-    return voltage.astype(equation.dtype), unreachable(model, force, dt)
+    # XLA would compute a force that is not returned twice: for the voltage, and for the mask
+    return voltage.astype(equation.dtype), unreachable(model, force, dt), force
 
 
 class _Inverse(eqx.Module):

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float
 
 from .spline_derivative import derivatives, inner, reach
 
-_BLOCK = 128  # samples that share one matrix product
+_BLOCK = 64  # samples that share one matrix product
 
 
 @lru_cache
