@@ -1,8 +1,9 @@
 """`pitp info`: prints what a model file holds and how the model was made."""
 
+from pathlib import Path
+
 from ...common.errors import BadInput
-from ...files.model_file.model_file import digest, load
-from ...method.model.fitted import Fitted
+from ...files.model_file.model_file import file_digest, load
 from ...method.simulate.model_runs import way_of
 from ..compare.description import describe
 from .console import number
@@ -25,22 +26,17 @@ def info(model, others, json_file) -> None:
         raise BadInput(f"info describes one model; to see the differences: pitp compare {model} {others[0]}")
     check_outputs(json_file, inputs=[model])
     loaded = load(model)
-    summary = traced(loaded)
+    origin = loaded.origin
+    summary = {
+        **describe(loaded),
+        "digest": file_digest(Path(model)),
+        "adapted": list(origin.adapted),
+        "lineage": list(origin.lineage),
+    }
     write_json(json_file, summary)
     print_model(loaded, summary)
     print(f"free runs: {way_of(loaded.model)}")
     print_lineage(summary)
-
-
-def traced(model: Fitted) -> dict:
-    """Return the model in plain values, with the file's checksum, adaptations and lineage."""
-    origin = model.origin
-    return {
-        **describe(model),
-        "digest": digest(model),
-        "adapted": list(origin.adapted),
-        "lineage": list(origin.lineage),
-    }
 
 
 def print_lineage(summary: dict) -> None:

@@ -67,6 +67,15 @@ def digest(model: Model | Fitted) -> str:
     return _sum(_body(fitted_of(model))).decode()
 
 
+def file_digest(path: Path) -> str:
+    """Return the SHA-256 of a model file, which is that of its model.
+
+    Raises:
+        BadInput: not a model file, or damaged.
+    """
+    return _sum(_checked_bytes(path)).decode()
+
+
 def lineage_of(fitted: Fitted) -> list[dict]:
     """Return the lineage of a model as its file holds it: every parent by its digest."""
     return [{k: _known(v) if k == "parent" else v for k, v in entry.items()} for entry in fitted.origin.lineage]
@@ -188,14 +197,10 @@ def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
 
 def _stored(model: Model) -> Model:
     """Replace constant arrays by plain arrays, because a file stores them among its arrays."""
-    return jax.tree.map(_as_array, model, is_leaf=_is_constant_array)
-
-
-def _as_array(part):
-    if not _is_constant_array(part):
-        return part
-    values = np.asarray(part)
-    return values.astype(np.float32) if values.dtype == np.float64 else values
+    return jax.tree.map(
+        lambda part: np.asarray(part, np.float32) if _is_constant_array(part) else part,
+        model, is_leaf=_is_constant_array,
+    )  # fmt: skip
 
 
 def _is_constant_array(part) -> bool:
