@@ -229,6 +229,15 @@ def test_share_outside_training(linear):
     )
 
 
+def test_a_stroke_beyond_the_trained_one_counts_only_with_a_spring(linear):
+    model = linear(2)
+    free = replace(model, coefficients=model.coefficients.at[0].set(0.0))
+    for m, stroke in ((model, 1.0), (free, 0.0)):
+        trained = replace(m, domain=replace(m.domain, region=((0.0, 1.0), (-1.0, 1.0))))
+        assert outside_fraction(trained, np.full((10, 2), [5.0, 0.0])) == stroke
+        assert outside_fraction(trained, np.full((10, 2), [5.0, 2.0])) == 1.0
+
+
 def test_a_memory_outside_its_training_is_named_by_its_time(linear):
     model = replace(linear(2), memory=FadingMemory(jnp.log(jnp.array([0.01, 80.0]))))
     model = replace(model, domain=replace(model.domain, region=((0.0, 1.0),) * 4))

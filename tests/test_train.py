@@ -8,6 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import lsim
 from typed import of_kind, untyped
 
 from pitp_jax.common.errors import BadInput, ComputationFailed
@@ -17,6 +18,7 @@ from pitp_jax.method.model.drive import DirectDrive, ElectrodeLag
 from pitp_jax.method.model.encoder import CompactEncoder, PaperEncoder
 from pitp_jax.method.model.input_map import LinearInput
 from pitp_jax.method.model.memory import ElapsedTime, FadingMemory
+from pitp_jax.method.model.model import linear_model
 from pitp_jax.method.model.substeps import substeps
 from pitp_jax.method.signal.record import Record
 from pitp_jax.method.simulate.devices import records_mesh
@@ -101,6 +103,30 @@ def test_few_records_behind_a_square_get_a_frugal_encoder(plant):
     assert [firmness_of(TINY, m, 3) for m in (few, enough, straight)] == [0.02, 1e-4, 1e-3]
     assert firmness_of(TINY, few, 2) == 0.03
     assert firmness_of(replace(TINY, firmness=0.5), few, 3) == 0.5
+
+
+def test_without_a_spring_no_position_differs_from_another():
+    """A moved axis has the tokens of the unmoved one: its network sees no x; with a spring it does."""
+    voltage = np.sin(2 * np.pi * TIME) * np.exp(-TIME)
+
+    def randomly_trained(a0):
+        a = np.array([a0, 40.0, 2.0])
+        nominal = linear_model(a, dt=DT, input_map=LinearInput())
+        record = Record("axis", TIME, voltage, lsim(([1.0], a[::-1]), voltage, TIME)[1])
+        settings = training._settings_for(None, Settings(), nominal)
+        data, _ = training._prepared(nominal, None, [record], settings)
+        encoder = with_encoder(data, settings, None, KEY).encoder
+        keys = iter(jax.random.split(KEY, 50))
+        return data.features[0], jax.tree.map(
+            lambda w: w + 0.1 * jax.random.normal(next(keys), w.shape) if eqx.is_inexact_array(w) else w, encoder
+        )
+
+    for a0, alike in ((0.0, True), (300.0, False)):
+        features, encoder = randomly_trained(a0)
+        moved = features + np.eye(features.shape[1])[0]
+        tokens, elsewhere = (np.asarray(jax.vmap(encoder)(jnp.asarray(f))) for f in (features, moved))
+        assert np.allclose(tokens, elsewhere) is alike
+        assert np.ptp(tokens, 0).max() > 0.01  # of the velocity
 
 
 @pytest.mark.exhaustive

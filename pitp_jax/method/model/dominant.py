@@ -20,6 +20,11 @@ def nonzero_poles(a: Float[np.ndarray, " tokens"]) -> Complex[np.ndarray, " pole
     return roots[np.abs(roots) > 1e-7 * np.abs(roots).max(initial=0.0)]
 
 
+def has_spring(a: Float[np.ndarray, " tokens"]) -> bool:
+    """Return whether no pole is an integrator's, for coefficients a_0 ... a_n."""
+    return len(nonzero_poles(a)) == len(np.roots(a[::-1]))
+
+
 def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
     """Return the resonance frequency (rad/s) for coefficients a_0 ... a_n; 0 if all poles are integrators."""
     a = np.nan_to_num(a)  # a diverged model still gets a number; its runs show what is wrong
@@ -30,7 +35,7 @@ def dominant_frequency(a: Float[np.ndarray, " tokens"]) -> float:
         slope = np.polyval(np.polyder(a[::-1]), pairs)
         return float(np.abs(pairs[np.argmin(np.abs(slope))]))
     even = a[::2] * (-1.0) ** np.arange(len(a[::2]))  # Re a(jw) as a polynomial in w^2
-    squares = np.roots(even[::-1] if len(roots) == len(a) - 1 else [1.0])  # without a spring the phase starts at -90
+    squares = np.roots(even[::-1] if has_spring(a) else [1.0])  # without a spring the phase starts at -90
     # roots that are real but for rounding
     lags = np.sqrt(squares.real[(np.abs(squares.imag) <= 1e-9 * np.abs(squares)) & (squares.real > 0)])
     return float(min(lags, default=min(np.abs(roots), default=0.0)))

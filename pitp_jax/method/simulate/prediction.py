@@ -14,6 +14,7 @@ from jaxtyping import Array, Float
 from ...common.errors import refuse_traced
 from ...common.shown import Shown
 from ..model.coverage import untrained, untrained_words
+from ..model.dominant import has_spring
 from ..model.fitted import Fitted, fitted_of
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
@@ -176,7 +177,10 @@ def outside_fraction(model: Model, features: np.ndarray) -> float:
 def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
     """Return how far each feature lies outside its trained range, relative to this range; negative inside."""
     low, high = np.asarray(model.domain.region).T
-    return np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
+    beyond = np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
+    if not has_spring(model.physical_coefficients):  # then every position is as good as another
+        beyond[:, 0] = -1.0
+    return beyond
 
 
 def outside_words(model: Model, features: np.ndarray, time: np.ndarray) -> str:

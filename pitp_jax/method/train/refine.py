@@ -113,7 +113,7 @@ def refine(
     """
     records, rest = held_out.records, held_out.rest
     dt, period = records[0].dt, _period(model)
-    how = _How(dt, report, firmness, slow, mesh, _spacing(period, dt))
+    how = _How(dt, report, firmness, slow, mesh, thinning(model, dt))
     longest = max(r.samples for r in records) * dt / period  # in periods
     periods, stage, windows = _PERIODS, "short runs", True
     while windows:
@@ -204,11 +204,7 @@ def thinning(model: Model, dt: float) -> int:
 
     Neighbours on a smooth run are redundant, and fewer samples need fewer derivatives.
     """
-    return _spacing(_period(model), dt)
-
-
-def _spacing(period: float, dt: float) -> int:
-    return int(np.clip(period / dt / 10, 1, 8))
+    return int(np.clip(_period(model) / dt / 10, 1, 8))
 
 
 def _period(model: Model) -> float:

@@ -16,6 +16,7 @@ import numpy as np
 from ...common.errors import refuse_if
 from ..effects import lookup
 from ..effects.physical import in_scales
+from ..model.dominant import has_spring
 from ..model.drive import ElectrodeLag
 from ..model.encoder import CompactEncoder, PaperEncoder
 from ..model.memory import AbstractMemory, ElapsedTime, FadingMemory, NoMemory, RingingMemory
@@ -52,7 +53,8 @@ class Settings:
         offset: whether the compact encoder has an offset token.
         few: below this number of records with a squared input, the compact encoder is smaller (`frugal`): damping
             independent of memories, one coupling for all tokens.
-        memory: "fading" (the displacement behind low passes), "elapsed" (the time since the start) or "none".
+        memory: "fading" (the displacement behind low passes; none for a plant without a spring, whose compact encoder
+            does not see x either), "elapsed" (the time since the start) or "none".
         memories: number of fading memories, log-spaced from 2 / omega_0 (the nominal's natural frequency, rad/s) to the
             longest record, or to a quarter of the nominal's stored record if that is longer than training
             (`creep_balance`).
@@ -143,10 +145,10 @@ def memory_of(
     # a lag as long as the record would be a ramp in it, and no sample would show its final value
     if long is not None:
         longest = max(longest, long.seconds / 4)
-    if settings.memory == "none":
-        return NoMemory()
     if settings.memory == "elapsed":
         return ElapsedTime(horizon=float(longest))
+    if settings.memory == "none":
+        return NoMemory()
     # a lag faster than the resonance is only x and x', which the encoder already sees
     tau = np.geomspace(min(2.0 / nominal.natural_frequency, longest / 20), longest, settings.memories)
     lags = jnp.asarray(np.log(tau), jnp.float32)
@@ -162,13 +164,9 @@ def firmness_of(settings: Settings, model: Model, records: int) -> float:
     """Return the prior weight of spring and damping nets: larger for a linear input, largest for few records."""
     if settings.firmness is not None:
         return settings.firmness
-    if _small_encoder(model):
+    if isinstance(model.encoder, CompactEncoder) and model.encoder.frugal:
         return 0.06 / records  # the error is a mean over records: fewer carry less information
     return 1e-4 if model.input_map.one_sided else 1e-3
-
-
-def _small_encoder(model: Model) -> bool:
-    return isinstance(model.encoder, CompactEncoder) and model.encoder.frugal
 
 
 def with_drive(model: Model, settings: Settings) -> Model:
@@ -206,7 +204,9 @@ def with_encoder(data: Dataset, settings: Settings, own, key) -> Model:
     elif settings.encoder == "paper":
         encoder = PaperEncoder(n + memories, n + 1, key=key)
     else:
-        low, high = data.region.T
+        low, high = data.region.T.copy()
+        if not has_spring(model.physical_coefficients):
+            low[0] = high[0] = 0.0  # as without lags of x
         # a slow memory barely moves in short records: it gets at least a quarter of x's range
         half = np.maximum(high - low, 0.25 * (high[0] - low[0])) / 2
         bounds = (low + high) / 2 + 2 * np.array([[-1.0], [1.0]]) * half

@@ -25,6 +25,7 @@ from ...common.errors import BadInput, ComputationFailed
 from ...common.shown import Shown
 from ..fit.parameters import trainable
 from ..model.coverage import with_excited
+from ..model.dominant import has_spring
 from ..model.fitted import Fitted, fitted_of
 from ..model.lineage import descended
 from ..model.memory import RingingMemory
@@ -122,7 +123,7 @@ def train(
     Examples:
         >>> trained = pitp.train(model, records, key=jax.random.key(0)).model  # doctest: +SKIP
     """
-    settings = _settings_for(encoder, settings or preset_of(preset))
+    settings = _settings_for(encoder, settings or preset_of(preset), fitted_of(nominal).model)
     check_set(records)
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("training runs in one process; give a mesh that holds only jax.local_devices()")
@@ -168,13 +169,17 @@ def train(
     return Training(model, tuple(history), interrupted, notes, chosen.errors, tuple(problems), fallback)
 
 
-def _settings_for(encoder, settings: Settings) -> Settings:
-    """Return the settings for a user's own encoder; a module fixes the number of memories."""
+def _settings_for(encoder, settings: Settings, nominal: Model) -> Settings:
+    """Return the settings for a user's own encoder, of which a module fixes the number of memories, and for a nominal.
+
+    Without a spring no position differs from another, and a lag of x is a position as well.
+    """
     if encoder is not None:
         return replace(settings, encoder="own", ringing=settings.ringing and not isinstance(encoder, eqx.Module))
     if settings.encoder == "own":
         raise BadInput("settings: encoder 'own' needs your encoder; give train(..., encoder=MODULE)")
-    return settings
+    free = settings.encoder == "compact" and not has_spring(nominal.physical_coefficients)
+    return replace(settings, memory="none") if free else settings
 
 
 def _with_zero(nominal: Model, long: LongRecord | None, begun: Sequence[Beginning]) -> Model:
