@@ -37,6 +37,16 @@ def test_projection_is_least_squares_whatever_the_columns_scale():
     assert np.abs(left).max() < 1e-9
 
 
+def test_projection_fits_what_counts_and_leaves_dependent_columns_out():
+    """The same column twice, in another unit; a sample that does not count is far off and changes nothing."""
+    rng, counts = np.random.default_rng(3), np.arange(200) != 7
+    columns, truth = rng.standard_normal((200, 2)), rng.standard_normal((2, 5))
+    values = columns @ truth + 1e9 * ~counts[:, None]
+    found, left = project(values, np.column_stack([columns, 1e6 * columns[:, 0]]), counts)
+    np.testing.assert_allclose(found[:2] + [1e6 * found[2], np.zeros(5)], truth, rtol=1e-9)
+    np.testing.assert_allclose(left, 1e9 * ~counts[:, None] * np.ones(5), atol=1e-6)
+
+
 def test_block_means_weigh_and_leave_the_incomplete_block():
     values, weight = np.arange(7.0), np.array([1.0, 0.0, 1.0, 1.0, 0.0, 0.0, 1.0])
     means, share = block_means(values, weight, 3)

@@ -18,6 +18,7 @@ from ..fit.factors import Factors, moved
 from ..fit.minimise import Normal, minimise
 from ..model.model import Model
 from ..model.programs import double_on_cpu, in_double, jit
+from ..numerics.coloured_noise import project
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
 from ..simulate.beginnings import settled_states
@@ -187,7 +188,5 @@ class Problem:
         if not tried:
             raise BadInput("the model diverges on this recording; check units and columns with `pitp predict`")
         _, z, e, jacobian = min(tried, key=lambda t: t[0])
-        inner, other = jacobian[:, :count], jacobian[:, count:]
         # a part that offsets and first states could explain carries no information on the parameters
-        taken = np.linalg.lstsq(other.T @ other, other.T @ inner, rcond=1e-9)[0]
-        return Fit(z, e.reshape(records, -1), inner - other @ taken)
+        return Fit(z, e.reshape(records, -1), project(jacobian[:, :count], jacobian[:, count:])[1])

@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..numerics.coloured_noise import project
 from .budget import Budget
 from .data import Case
 from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
@@ -124,22 +125,6 @@ def basis(case: Case, slots: np.ndarray, record: int) -> tuple[np.ndarray, np.nd
     return np.stack(columns, 1), np.array(begins)
 
 
-def _projected(rows: np.ndarray, columns: np.ndarray, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Subtract from `rows` (T, n) their least-squares fit by the columns; return also its coefficients."""
-    inside = columns[seen > 0]
-    if columns.shape[1] == 1:
-        mean = rows[seen > 0].mean(0, keepdims=True)
-        return rows - mean, mean
-    # QR instead of normal equations, because free responses of two close poles are nearly collinear
-    q, r = np.linalg.qr(inside)
-    # a column that depends on the others is left out
-    keep = np.abs(np.diag(r)) > 1e-9 * max(np.abs(np.diag(r)).max(), 1e-300)
-    q = q * keep
-    r = r + np.diag(np.where(keep, 0.0, 1.0)) * max(np.abs(r).max(), 1e-300)
-    coefficients = np.linalg.solve(r, q.T @ rows[seen > 0])
-    return rows - columns @ coefficients, coefficients
-
-
 class Fitter:
     """Fit hypotheses to the records of one case; its budget counts the simulated steps."""
 
@@ -182,9 +167,8 @@ class Fitter:
         if not np.isfinite(run).all():
             return None, starts[record]
         columns, begins = basis(self.case, slots, record)
-        residual, c = _projected((run - np.nan_to_num(s.output))[:, None], columns, s.counts.astype(float))
-        moved = starts[record] - begins.T @ c[:, 0]
-        return np.where(s.counts, residual[:, 0], np.nan), moved
+        c, residual = project(run - np.nan_to_num(s.output), columns, s.counts)
+        return np.where(s.counts, residual, np.nan), starts[record] - begins.T @ c
 
     def evaluate(self, fits: Sequence[Fit], slots: Sequence[np.ndarray], everything: bool = False):
         """Return (cost, residuals, initial states) of every fit at other parameters; `everything`: on all records."""
@@ -230,8 +214,7 @@ class Fitter:
         for (fit, k, step), runs in zip(owners, self._simulate(jobs), strict=True):
             block = np.stack(runs, 1)
             slopes = np.nan_to_num((block[:, :-1] - block[:, -1:]) / step, posinf=0.0, neginf=0.0)
-            columns, _ = basis(self.case, fit.slots, k)
-            fit.jacobian[k] = _projected(slopes, columns, self.case.series[k].counts.astype(float))[0]
+            fit.jacobian[k] = project(slopes, basis(self.case, fit.slots, k)[0], self.case.series[k].counts)[1]
 
     def normal(self, fit: Fit) -> tuple[np.ndarray, np.ndarray]:
         """Return the normal matrix H and the gradient g of one optimiser step."""

@@ -124,7 +124,7 @@ def _left(roots: np.ndarray, delay: float, powers: slice, problem: Problem, hold
         if b.begins == "moving":
             own += list(coast(logs_from_roots(roots), len(time), step=problem.dt)[0].T)
         own = weight[:, None] * np.column_stack(own)
-        rows.append(np.column_stack([project(weight * c, own)[1] for c in columns.T]))
+        rows.append(project(weight[:, None] * columns, own)[1])
         target.append(project(weight * output, own)[1])
     factors, rest = project(np.concatenate(target), np.concatenate(rows))
     return rest, factors * problem.dt**k

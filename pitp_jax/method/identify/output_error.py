@@ -22,6 +22,7 @@ from jaxtyping import Complex, Float, Int
 from ...common.errors import refuse_if
 from ..fit.minimise import Normal, minimise
 from ..model.model import Hold
+from ..numerics.coloured_noise import project
 from ..signal.initial_state import Beginning, from_known
 from ..signal.preprocess import force_band
 from ..signal.record import Record
@@ -306,10 +307,8 @@ class OutputError:
             if n:
                 slopes = slopes + self._own_slopes(self.free[0][k], sizes)
             rows = self._linear(k, run[0], slopes)
-            if n:  # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
-                columns, rest = rows[:n], rows[n:]
-                rows = rest - (rest @ columns.T) @ inverse(columns @ columns.T) @ columns
-            projected.append(rows)
+            # P = I - N (N'N)^-1 N', where N holds the ridge's rows too
+            projected.append(project(rows[n:].T, rows[:n].T)[1].T if n else rows)
         return solved, projected
 
     @property

@@ -159,8 +159,7 @@ def _slow_parts(linear_fit: OutputError, taus: np.ndarray) -> tuple[np.ndarray, 
         columns = [error, run, slow, np.full(len(weight), zero >= 0), np.linspace(0.0, 1.0, len(weight))]
         wide = np.column_stack(columns)
         # A part that the record's own initial state can explain is not evidence of creep.
-        wide = wide - own @ np.linalg.lstsq(own, wide, rcond=1e-10)[0]
-        means = block_means(wide, weight, max(len(weight) // 256, 1))[0]
+        means = block_means(project(wide, own)[1], weight, max(len(weight) // 256, 1))[0]
         zeros, drift = np.zeros((len(means), max(problem.free_zeros, 1))), np.zeros((len(means), len(problem.drive)))
         zeros[:, max(zero, 0)], drift[:, k] = means[:, -2:].T
         parts.append(np.hstack([means[:, :2], zeros, means[:, 2:-2], drift]))

@@ -13,8 +13,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.optimize import least_squares
 
+from ..numerics.coloured_noise import project
 from .linear_ode import bounded_response
-from .output_error import Problem, inverse
+from .output_error import Problem
 
 _GRID = 4
 _GROWS = 3.0  # e-folds over the record, at least; less is drift or a missing damping
@@ -64,5 +65,5 @@ def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
     for force, output, weight in zip(problem.forces, problem.output, problem.weight, strict=True):
         run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean())
         rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
-        parts.append(weight * output - inverse(rows @ rows.T) @ (rows @ (weight * output)) @ rows)
+        parts.append(project(weight * output, rows.T)[1])
     return np.concatenate(parts) / np.sqrt(problem.samples)

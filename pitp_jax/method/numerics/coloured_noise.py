@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 import scipy
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 _ORDER = 6  # P, lags of the autoregression
 
@@ -42,12 +42,17 @@ def whitener(error: Float[np.ndarray, " time"]) -> Callable[[np.ndarray], np.nda
 
 
 def project(
-    values: Float[np.ndarray, " time"], columns: Float[np.ndarray, "time n"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " time"]]:
-    """Fit `columns` to `values` by least squares; return the coefficients and the residual."""
+    values: Float[np.ndarray, "time *many"],
+    columns: Float[np.ndarray, "time n"],
+    counts: Bool[np.ndarray, " time"] | bool = True,
+) -> tuple[Float[np.ndarray, "n *many"], Float[np.ndarray, "time *many"]]:
+    """Fit `columns` to `values` by least squares, where they count; return the coefficients and the whole residual."""
+    # QR instead of normal equations, because free responses of two close poles are nearly collinear
+    inside = columns * np.reshape(counts, (-1, 1))
     # columns of equal size, so that rcond drops directions, not columns of small units
-    size = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
-    factors = np.linalg.lstsq(columns / size, values, rcond=1e-10)[0] / size
+    size = np.maximum(np.linalg.norm(inside, axis=0), 1e-300)
+    q, r = np.linalg.qr(inside / size)
+    factors = ((np.linalg.pinv(r, rcond=1e-10) @ (q.T @ values)).T / size).T
     return factors, values - columns @ factors
 
 
