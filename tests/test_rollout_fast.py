@@ -36,7 +36,8 @@ def with_elapsed(nonlinear):
 
 CASES = {
     "one record": (lambda nl, lin: lagging(nl(2)), 1),
-    "records": (lambda nl, lin: lagging(nl(2)), 5),
+    "records, filled up": (lambda nl, lin: lagging(nl(2)), 6),
+    "more records": (lambda nl, lin: nl(2), 19),
     "order 1": (lambda nl, lin: nl(1, substeps=2), 3),
     "order 3, zoh": (lambda nl, lin: nl(3, hold="zoh"), 2),
     "linear, bandlimited": (lambda nl, lin: lin(2, hold="bandlimited"), 2),

@@ -14,7 +14,6 @@ from jaxtyping import Array, Float
 from ..model.encoder import CompactEncoder, ConstantEncoder, plain
 from ..model.model import Model
 from ..model.programs import jit
-from . import ports
 from .decoder import (
     along,
     at_rest,
@@ -44,15 +43,6 @@ def fast_rollout(
     return rows_rollout(model, film, dt, start)
 
 
-@jit
-def free_runs(
-    model: Model, voltage: Float[Array, "records time"], dt: float, start: Float[Array, "records state"]
-) -> tuple[Float[Array, "records time state"], Float[Array, "records time"]]:
-    """Simulate all records; return their scaled states and the sensor's scaled readings, in one program."""
-    states = fast_rollout(model, voltage, dt, start)
-    return states, jax.vmap(lambda s: ports.readings(model, s))(states)
-
-
 def in_rows(model: Model) -> bool:
     """Return whether a model can be simulated for many records in one array: no effects, a small encoder."""
     return not model.effects and isinstance(plain(model.encoder), CompactEncoder | ConstantEncoder)
@@ -71,6 +61,9 @@ def rows_rollout(
     unroll: int | None = None,
 ) -> Float[Array, "records time state"]:
     """Simulate all records from film voltages; `unroll`: samples per iteration, by default `steps_at_once`."""
+    # a CPU computes eight records at once if there are at least 16, and others one by one: copies fill up the last
+    extra = max(16 - len(start), -len(start) % 8) if len(start) > 5 else 0
+    film, filled = (jnp.pad(a, [(0, extra), (0, 0)], "edge") for a in (film, start))
     # records last, because a scan steps over the first axis, and a row of records is contiguous
     forces = jnp.moveaxis(scaled_force(model, jax.vmap(lambda v: stage_voltages(model, v))(film)), 0, -1)
     h, constant, logits = dt / model.substeps, motion_of(model), model.encoder.over()
@@ -83,5 +76,5 @@ def rows_rollout(
     def advance(state, stages):
         return jnp.stack(along(one, list(state), stages)), state
 
-    states = jax.lax.scan(advance, start.T, forces, unroll=unroll or steps_at_once())[1]
-    return jnp.moveaxis(states, -1, 0)
+    states = jax.lax.scan(advance, filled.T, forces, unroll=unroll or steps_at_once())[1]
+    return jnp.moveaxis(states, -1, 0)[: len(start)]

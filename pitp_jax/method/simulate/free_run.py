@@ -13,7 +13,8 @@ from ..model.coordinate import from_model
 from ..model.fitted import Fitted, model_of
 from ..model.model import Model
 from ..model.programs import jit, signal
-from .batched_rollout import free_runs
+from . import ports
+from .batched_rollout import fast_rollout
 from .decoder import rest_state
 
 
@@ -51,5 +52,5 @@ def free_run(
 def _free_run(model: Model, voltage: Float[Array, " time"], dt, state) -> Float[Array, " time"]:
     dtype = model.coefficients.dtype
     start = rest_state(model) if state is None else jnp.asarray(state, dtype)
-    readings = free_runs(model, voltage[None], dt, start[None])[1][0]
+    readings = ports.readings(model, fast_rollout(model, voltage[None], dt, start[None])[0])
     return from_model(model, readings * model.scales.state[0]).astype(dtype)
