@@ -126,7 +126,8 @@ def test_a_refused_step_does_not_leave_a_fold_where_it_has_seen_what_it_is_judge
     (whole,) = fitter.fit([Fit((), ("a0",), slots, stiff.starts.copy())], 6)
     (wanted,), _ = fitter.refitted_without([whole], 3)
     move = Fitter._move
-    monkeypatch.setattr(Fitter, "_move", lambda self, fit: move(self, fit) + (3.0 if fit.damping < 0.05 else 0.0))
+    far = {True: 3.0, False: 0.0}
+    monkeypatch.setattr(Fitter, "_move", lambda self, fit: move(self, fit) + far[fit.descent.damping < 0.05])
     (found,), _ = fitter.refitted_without([whole], 3)
     for rows, other, seen in zip(found, wanted, whole.residuals, strict=True):
         apart = np.nanmax(np.abs(rows - other))

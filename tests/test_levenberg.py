@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
+from scipy.optimize import least_squares, lsq_linear
 
-from pitp_jax.method.fit.minimise import Normal, minimise, steps
+from pitp_jax.method.fit.minimise import Descent, Normal, minimise, steps
 
 TIME = np.linspace(0, 3, 200)
 TRUTH = np.array([1.3, np.log(0.4), np.log(6.0), 0.7])
@@ -109,12 +109,43 @@ def normal_of(matrix, data):
 
 
 def test_logarithms_move_by_two_at_most():
-    """Parameters with a bound are logarithms: a long step of one is scaled down, and none without a bound is."""
+    """Parameters with a bound are logarithms: a long step of one is cut, and none without a bound is."""
     matrix, data = np.eye(2), np.array([-50.0, -50.0])
-    for upper, longest in ((np.array([0.0, np.inf]), 2.0), (np.full(2, np.inf), 50.0)):
+    for upper, longest in ((np.array([0.0, np.inf]), [2.0, 50.0]), (np.full(2, np.inf), [50.0, 50.0])):
         path = np.stack([p for p, *_ in steps(normal_of(matrix, data), np.zeros(2), upper)])
-        assert np.abs(np.diff(path, axis=0)).max() == pytest.approx(longest, rel=1e-2)
+        np.testing.assert_allclose(np.abs(np.diff(path, axis=0)).max(0), longest, rtol=1e-2)
         np.testing.assert_allclose(path[-1], data, rtol=1e-4)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_step_within_a_box_is_scipys(seed):
+    """The damping is rows sqrt(lambda D) of zeros; what it predicts is the decrease of the cost without them."""
+    rng, damping = np.random.default_rng(seed), 0.1
+    matrix, data = rng.standard_normal((30, 3)) * [1.0, 5.0, 0.2], rng.standard_normal(30)
+    free, _ = Descent(damping).step(normal_of(matrix, data)(np.zeros(3)), np.full(3, -np.inf), np.full(3, np.inf))
+    ends = [-np.inf, free[1] - 1, -0.4 * abs(free[2])], [0.5 * abs(free[0]), np.inf, np.inf]
+    step, expected = Descent(damping).step(normal_of(matrix, data)(np.zeros(3)), np.array(ends[0]), np.array(ends[1]))
+    damped = np.concatenate([matrix, np.diag(np.sqrt(damping * np.sum(matrix**2, 0)))])
+    truth = lsq_linear(damped, np.append(data, np.zeros(3)), ends, method="bvls", tol=1e-14).x
+    np.testing.assert_allclose(step, truth, atol=1e-9)
+    assert expected == pytest.approx(data @ data - np.sum((matrix @ step - data) ** 2))
+
+
+def test_a_number_with_hardly_any_slope_keeps_still():
+    """Its slope is rounding: with a share of the largest diagonal it moves by the damping's, not by its own unit."""
+    here = Normal(1.0, np.array([-1.0, -1e-9]), np.diag([1.0, 1e-20]))
+    steps = [Descent(1e-2).step(here, np.full(2, -np.inf), np.full(2, np.inf), least)[0] for least in (0.0, 1e-9)]
+    assert steps[0][1] > 1e9 and steps[1][1] == pytest.approx(1e-9 / (1e-20 + 1e-2 * 1e-9), rel=1e-6)
+
+
+def test_the_damping_follows_what_was_predicted():
+    """Nielsen's: a tenth where the quadratic was right, the same at half of it, 2, 4, 8 times after steps up."""
+    start = Descent(1.0)
+    assert start.after(1.0, 1.0) == (True, Descent(0.1)) and start.after(0.5, 1.0) == (True, start)
+    for factor in (2.0, 8.0, 64.0):
+        accepted, start = start.after(-np.inf, 1.0)
+        assert not accepted and start.damping == factor
+    assert not Descent().after(np.nan, 1.0)[0] and not Descent().after(1.0, 0.0)[0]
 
 
 def test_two_parameters_that_cannot_be_told_apart():

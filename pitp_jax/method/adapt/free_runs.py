@@ -179,7 +179,7 @@ class Problem:
             cost = unit**2 * e @ e + np.sum((p / spread) ** 2)
             tried.append((cost, base, e, jacobian))
             gradient = unit**2 * jacobian.T @ e + p / spread**2
-            return Normal(float(cost), gradient, unit**2 * jacobian.T @ jacobian + np.diag(spread**-2.0))
+            return Normal(cost, gradient, unit**2 * jacobian.T @ jacobian + np.diag(spread**-2.0))
 
         start = np.concatenate([np.zeros(count) + first, np.zeros(shifts + records)])
         upper = np.full(len(start), np.inf)

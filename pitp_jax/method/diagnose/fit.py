@@ -16,6 +16,7 @@ from typing import Any
 
 import numpy as np
 
+from ..fit.minimise import Descent, Normal
 from ..numerics.coloured_noise import project
 from .budget import Budget
 from .data import Case
@@ -24,6 +25,8 @@ from .library import CORE, INDEX, LEAST, LOGARITHM, MOST
 _EPS = 1e-5  # of a record's range: a smaller error is not evidence
 _STEP = 1e-4  # change of a logarithm, or of a parameter relative to its size, for its slope
 _LONGEST = 1.5  # largest change of a logarithm in one step, or of a parameter relative to its value and start
+_FIRST = Descent(1e-2)  # stronger damping than near an optimum
+_STILL = 1e-9  # of the largest diagonal of H: a parameter with hardly any slope is held still by the damping
 _REFUSED = 8  # rejected steps until the damping is at its maximum
 _SLOW = 2e-3  # relative decrease of the error below which two steps end a fit
 PREVIEW = -1  # the fold of first steps: some records only
@@ -44,6 +47,7 @@ class Fit:
         residuals: per record y - y_measured without its own offset and initial state, nan where samples do not count;
             None: not run.
         cost: L over the samples of the fit.
+        expected: its decrease predicted by the last step.
         taken: steps that lowered it.
     """
 
@@ -56,7 +60,8 @@ class Fit:
     residuals: list[Any] = field(default_factory=list)
     jacobian: list[np.ndarray] | None = None
     cost: float = np.inf
-    damping: float = 1e-2
+    descent: Descent = _FIRST
+    expected: float = 0.0
     slow: int = 0
     taken: int = 0
     done: bool = False
@@ -64,13 +69,17 @@ class Fit:
     def __post_init__(self):
         """Set the units of the free parameters to their initial sizes, if no units are given."""
         if not len(self.unit):
-            self.unit = np.array([max(abs(self.slots[INDEX[k]]), 1e-12) for k in self.free])
+            self.unit = np.maximum(np.abs(self.slots[self.places]), 1e-12)
+
+    @property
+    def places(self) -> list[int]:
+        """Return the indices of the free parameters among the slots."""
+        return [INDEX[k] for k in self.free]
 
     def again(self, **changes) -> "Fit":
         """Copy the fit with the optimiser reset, so that the copy can be continued."""
-        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "damping": 1e-2, "slow": 0, "taken": 0}
-        fresh["done"] = False
-        return replace(self, **(fresh | changes))
+        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "descent": _FIRST, "slow": 0}
+        return replace(self, **(fresh | {"taken": 0, "done": False} | changes))
 
     def anew(self, **changes) -> "Fit":
         """Copy the fit for other free parameters; its cost and derivatives are not yet computed."""
@@ -83,17 +92,20 @@ class Fit:
 
 def coordinates(fit: Fit) -> np.ndarray:
     """Return the free parameters as the optimiser uses them: positive ones as logarithms."""
-    places = [INDEX[k] for k in fit.free]
-    values = fit.slots[places]
-    log = LOGARITHM[places]
-    return np.where(log, np.log(np.maximum(values, 1e-300)), values)
+    values = fit.slots[fit.places]
+    return np.where(LOGARITHM[fit.places], np.log(np.maximum(values, 1e-300)), values)
+
+
+def _sizes(fit: Fit, share: float) -> np.ndarray:
+    """Return the sizes of the optimiser coordinates: 1 for logarithms, otherwise at least a `share` of the start."""
+    return np.where(LOGARITHM[fit.places], 1.0, np.maximum(np.abs(coordinates(fit)), share * fit.unit))
 
 
 def at(fit: Fit, z: np.ndarray, bounds: Mapping[str, tuple[float, float]] = MappingProxyType({})) -> np.ndarray:
     """Return all parameters for other optimiser coordinates `z` (`coordinates`), each within its `bounds`."""
-    slots, places = fit.slots.copy(), [INDEX[k] for k in fit.free]
-    log = LOGARITHM[places]
-    slots[places] = np.clip(np.where(log, np.exp(np.clip(z, -70, 70)), z), LEAST[places], MOST[places])
+    slots, places = fit.slots.copy(), fit.places
+    values = np.where(LOGARITHM[places], np.exp(np.clip(z, -70, 70)), z)
+    slots[places] = np.clip(values, LEAST[places], MOST[places])
     for name in bounds.keys() & set(fit.free):
         slots[INDEX[name]] = np.clip(slots[INDEX[name]], *bounds[name])
     return slots
@@ -198,9 +210,8 @@ class Fitter:
         jobs, owners = [], []
         for fit in fits:
             z = coordinates(fit)
-            log = LOGARITHM[[INDEX[k] for k in fit.free]]
             # relative to a parameter and its start, so that one near zero still gets a visible step
-            step = np.where(log, _STEP, _STEP * np.maximum(np.abs(z), 0.1 * fit.unit))
+            step = _STEP * _sizes(fit, 0.1)
             moved = [at(fit, z + move, self.bounds) for move in np.diag(step)]
             for n, k in enumerate(fit.free):
                 if moved[n][INDEX[k]] == fit.slots[INDEX[k]]:  # at its upper bound: downwards
@@ -248,8 +259,8 @@ class Fitter:
                 break
             self.differentiate([f for f in active if f.jacobian is None])
             trials = [at(f, coordinates(f) + self._move(f), self.bounds) for f in active]
-            for f, p, (cost, residuals, starts) in zip(active, trials, self.evaluate(active, trials), strict=True):
-                self._judge(f, p, cost, residuals, starts)
+            for f, p, found in zip(active, trials, self.evaluate(active, trials), strict=True):
+                self._judge(f, p, *found)
         return list(fits)
 
     def foreseen(self, fits: Sequence[Fit], fronts: Sequence[Fit]) -> list[float]:
@@ -281,27 +292,21 @@ class Fitter:
         return min(probe.cost, self._cost(after, PREVIEW))
 
     def _move(self, fit: Fit) -> np.ndarray:
-        """Return the damped, limited optimiser step of the free parameters."""
+        """Return the optimiser step of the free parameters within their bounds; note the decrease of L it predicts."""
         h, g = self.normal(fit)
-        # a parameter without slopes keeps a finite unit, and the damping then holds it still
-        d = np.sqrt(np.diag(h) + 1e-9 * max(np.diag(h).max(initial=0.0), 1e-300))
-        move = -np.linalg.lstsq(h / np.outer(d, d) + fit.damping * np.eye(len(g)), g / d, rcond=1e-12)[0] / d
-        log = LOGARITHM[[INDEX[k] for k in fit.free]]
-        most = np.where(log, _LONGEST, _LONGEST * np.maximum(np.abs(coordinates(fit)), fit.unit))
-        return np.clip(move, -most, most)
+        z, most = coordinates(fit), _LONGEST * _sizes(fit, 1.0)
+        low, high = (coordinates(replace(fit, slots=at(fit, z + end, self.bounds))) - z for end in (-most, most))
+        move, fit.expected = fit.descent.step(Normal(fit.cost, g, h), low, high, _STILL)
+        return move
 
     def _judge(self, fit: Fit, slots, cost, residuals, starts):
-        total = sum((self._masks[fit.fold][k] > 0).sum() for k in self._seen(fit.fold))
-        gain = (fit.cost - cost) / total if np.isfinite(cost) else -1.0
-        if gain > 0:
-            fit.slow, fit.taken = fit.slow + 1 if gain < _SLOW else 0, fit.taken + 1
-            fit.slots, fit.cost, fit.residuals, fit.starts = slots, cost, residuals, starts
-            # less damping, because the quadratic was accurate
-            fit.damping, fit.jacobian = max(fit.damping / 6, 1e-7), None
-            fit.done = fit.slow >= 2
-        else:
-            fit.damping *= 8
-            fit.done = fit.damping > 1e4  # then a step is too short to lower the cost
+        gain, counted = fit.cost - cost, sum(np.count_nonzero(m) for m in self._masks[fit.fold])
+        accepted, fit.descent = fit.descent.after(gain, fit.expected)
+        if accepted:
+            fit.slow, fit.taken = fit.slow + 1 if gain < _SLOW * counted else 0, fit.taken + 1
+            fit.slots, fit.cost, fit.residuals, fit.starts, fit.jacobian = slots, cost, residuals, starts, None
+        # or its steps are too short to lower the cost
+        fit.done = fit.slow >= 2 or fit.descent.damping > 1e4
 
     def refitted_without(self, fits: Sequence[Fit], iterations: int) -> tuple[list[list[np.ndarray]], list[np.ndarray]]:
         """Refit every fit without each fold (cross-validation), starting from the fit to all records.
@@ -313,7 +318,7 @@ class Fitter:
         tasks = []
         for f in fits:
             for fold in range(len(self.case.folds)):
-                one = f.again(fold=fold, damping=1e-3)
+                one = f.again(fold=fold, descent=Descent())
                 # near its own optimum already: steps until they gain nothing
                 one.cost = self._cost(one.residuals, fold)
                 tasks.append(one)

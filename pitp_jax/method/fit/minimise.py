@@ -1,8 +1,9 @@
 """Minimise a sum of squares C(p) = |r(p)|^2 by damped Gauss-Newton steps, with two ways to choose the damping.
 
-    (H + lambda D) d = -g,    p_i + d_i <= upper_i          H = J'J,  g = J'r,  D = diag H
+    (H + lambda D) d = -g,    low_i <= d_i <= high_i        H = J'J,  g = J'r,  D = diag H
 
-`steps`        r and J come together: lambda follows how well the quadratic model predicted C (Nielsen, 1999)
+`steps`        r and J come together: lambda follows how well the quadratic model predicted C (Nielsen, 1999); fits side
+               by side, whose rejected steps keep their J, ask a `Descent` each (`method.diagnose.fit`)
 `accelerated`  J costs at least ten times as much as r: the best lambda at every J, and a curved step
 
     (H + lambda D) a = -J'r_vv,   r_vv = (r(p + h d) - 2 r(p) + r(p - h d)) / h^2,   p <- p + d + a / 2
@@ -46,18 +47,16 @@ class Normal(NamedTuple):
     gradient: np.ndarray
     hessian: np.ndarray
 
-    @classmethod
-    def of(cls, cost, gradient, hessian) -> "Normal":
-        """Build a `Normal` in float64 from arrays of any kind."""
-        return cls(float(cost), np.asarray(gradient, np.float64), np.asarray(hessian, np.float64))
-
 
 class Damped:
-    """The damped matrix H + lambda D, factored once for every damping lambda."""
+    """The damped matrix H + lambda D, factored once for every damping lambda.
 
-    def __init__(self, hessian: np.ndarray):
+    `least`: fraction of the largest value of D that is added to all, so that numbers with hardly any slope keep still.
+    """
+
+    def __init__(self, hessian: np.ndarray, least: float = 0.0):
         # the tiny number prevents a division by zero for a parameter that no residual depends on
-        self.root = np.sqrt(np.diag(hessian) + 1e-300)
+        self.root = np.sqrt(np.diag(hessian) + max(least * np.diag(hessian).max(), 1e-300))
         values, self._vectors = np.linalg.eigh(hessian / np.outer(self.root, self.root))
         self._values = np.maximum(values, 0)  # rounding makes the smallest of a singular H negative
 
@@ -67,6 +66,38 @@ class Damped:
         # with small lambda, parameters that the data do not separate make it singular: then the smallest step
         along = np.where(values > _LOST_DIGITS * values.max(), self._vectors.T @ (side / self.root) / values, 0.0)
         return -(self._vectors @ along) / self.root
+
+
+class Descent(NamedTuple):
+    """How far the next step of one fit goes: its damping, and the factor on it if that step is rejected."""
+
+    damping: float = _FIRST_DAMPING
+    growth: float = 2.0
+
+    def step(self, here: Normal, low: np.ndarray, high: np.ndarray, least: float = 0.0) -> tuple[np.ndarray, float]:
+        """Return the damped step within a box, and the decrease of C that its quadratic predicts.
+
+        Numbers that reach their side of the box stay there, and the others compensate. `least`: as in `Damped`.
+        """
+        # at its bound already, while the cost decreases beyond it
+        step, fixed = np.zeros(len(low)), np.where(here.gradient < 0, high, -low) <= 0
+        while not fixed.all():
+            free = ~fixed
+            slope = here.gradient[free] + here.hessian[np.ix_(free, fixed)] @ step[fixed]  # the bounded ones have moved
+            step[free] = Damped(here.hessian[np.ix_(free, free)], least).step(slope, self.damping)
+            inside = np.clip(step, low, high)
+            over = free & (step != inside)
+            if not over.any():
+                break
+            step[over], fixed = inside[over], fixed | over
+        # without the damping, which is not part of C
+        return step, float(-step @ (2 * here.gradient + here.hessian @ step))
+
+    def after(self, decrease: float, expected: float) -> tuple[bool, "Descent"]:
+        """Return whether a step is accepted, which any decrease is, and the descent after it (Nielsen's rule)."""
+        if not (decrease > 0 and expected > 0):
+            return False, Descent(self.damping * self.growth, 2 * self.growth)
+        return True, Descent(self.damping * max(1 / 10, 1 - (2 * decrease / expected - 1) ** 3))
 
 
 def minimise(
@@ -79,7 +110,7 @@ def minimise(
     """Find the parameters of least cost, none above `upper`; return them, and whether the tolerance was met.
 
     It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
-    with a finite `upper` count as logarithms, whose long steps are shortened.
+    with a finite `upper` count as logarithms, whose steps are bounded.
     """
     slow, before, best, converged = 0, np.inf, params, False
     for best, here, met in islice(steps(normal, params, upper), most):
@@ -98,45 +129,23 @@ def steps(
 
     It ends when it is met, if the start is not finite, or if no step lowers the cost (met, if little could be gained).
     """
-    params = np.minimum(params, upper)
-    here, damping, growth = normal(params), _FIRST_DAMPING, 2.0
+    params, longest, descent = np.minimum(params, upper), np.where(np.isfinite(upper), _LONGEST, np.inf), Descent()
+    here = normal(params)
     yield params, here, False
     while np.isfinite(here.cost) and np.isfinite(here.hessian).all():
-        step = _within(here, damping, upper - params)
-        # shortened as a whole, so that the direction remains one of descent
-        step *= min(1.0, _LONGEST / max(float(np.abs(step[np.isfinite(upper)]).max(initial=0.0)), 1e-300))
-        # the decrease of C predicted by its quadratic, without the damping, which is not part of C
-        expected = float(-step @ (2 * here.gradient + here.hessian @ step))
+        step, expected = descent.step(here, -longest, np.minimum(longest, upper - params))
         # with strong damping every step is short, which alone is not convergence
-        if expected <= _TOLERANCE * here.cost and damping < 1.0:
+        if expected <= _TOLERANCE * here.cost and descent.damping < 1.0:
             yield params, here, True
             return
         there = normal(params + step)
-        ratio = (here.cost - there.cost) / expected if expected > 0 and np.isfinite(there.cost) else -1.0
-        if ratio > 0:  # any decrease is accepted; the damping follows the quadratic's accuracy (Nielsen's rule)
-            params, here, growth = params + step, there, 2.0
-            damping *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
+        accepted, descent = descent.after(here.cost - there.cost, expected)
+        if accepted:
+            params, here = params + step, there
             yield params, here, False
-        else:
-            damping, growth = damping * growth, 2 * growth
-            if damping > _LARGEST_DAMPING:  # no decrease possible: the remaining prediction is rounding
-                yield params, here, expected <= _SLOW * here.cost
-                return
-
-
-def _within(here: Normal, damping: float, room: np.ndarray) -> np.ndarray:
-    """Return the damped step in which no parameter increases by more than its `room`; the others compensate."""
-    # at its bound already, while the cost decreases beyond it
-    step, fixed = np.zeros(len(room)), (room <= 0) & (here.gradient < 0)
-    while not fixed.all():
-        free = ~fixed
-        slope = here.gradient[free] + here.hessian[np.ix_(free, fixed)] @ step[fixed]  # the bounded ones have moved
-        step[free] = Damped(here.hessian[np.ix_(free, free)]).step(slope, damping)
-        over = free & (step > room)
-        if not over.any():
-            break
-        step[over], fixed = room[over], fixed | over
-    return step
+        elif descent.damping > _LARGEST_DAMPING:  # no decrease possible: the remaining prediction is rounding
+            yield params, here, expected <= _SLOW * here.cost
+            return
 
 
 class _Trial(NamedTuple):

@@ -324,13 +324,13 @@ class OutputError:
             solved, slopes = self.jacobians()
             here, n = solved.rows, len(self.params)
             if not (np.isfinite(here).all() and all(np.isfinite(j).all() for j in slopes)):
-                return Normal.of(np.inf, np.zeros(n), np.zeros((n, n)))
+                return Normal(np.inf, np.zeros(n), np.zeros((n, n)))
             linear, gram = 1 + self.problem.free_zeros, gram_of(slopes, self.problem.numbers(n))
             # Kaufman: only the part of the projector's derivative that remains when the residual is small
             factors = gram[linear:, :linear] @ inverse(gram[:linear, :linear])
             places = self.problem.numbers()
             moved = np.hstack([j[-n:] - factors[:, at] @ j[:-n] for j, at in zip(slopes, places, strict=True)])
-            return Normal.of(here @ here, -moved @ here, moved @ moved.T)
+            return Normal(float(here @ here), -moved @ here, moved @ moved.T)
 
 
 def gram_of(rows: Sequence[np.ndarray], numbers: Sequence[np.ndarray]) -> np.ndarray:
