@@ -13,9 +13,10 @@ from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
-from pitp_jax.method.diagnose.library import EARLY, INDEX, MONITOR, NAMES
+from pitp_jax.method.diagnose.library import EARLY, INDEX, LAG, MONITOR, NAMES, Form, slots_of_row
 from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax.method.diagnose.verdict import Decision
+from pitp_jax.method.effects import lookup
 
 SAMPLES = 1000
 
@@ -193,6 +194,21 @@ def test_parts_that_are_left_out_cover_every_record_once(recorded):
     for fold in range(4):  # and a fit without them does not use them
         masks = zip(parts.masks(fold), parts.tested(fold), strict=True)
         assert all(not np.any((mask > 0) & left_out) for mask, left_out in masks)
+
+
+@pytest.mark.parametrize(("time", "lag"), [(0.6, 1.4), (2.0, 0.2), (5.0, 0.2)])
+def test_an_added_time_is_subtracted_from_the_lag_of_the_core(time, lag):
+    """At small amplitudes their sum stays; a tenth of the lag is left, which can vanish or grow."""
+    slots = np.zeros(len(NAMES))
+    slots[[0, 1, 2, INDEX[LAG]]] = 1.0, 0.1, 0.01, 2.0
+    electrode, friction = "electrode_rc: one lag", "coulomb_friction: Coulomb"
+    for free, key, left in (((LAG,), electrode, lag), ((), electrode, 2.0), ((LAG,), friction, 2.0)):
+        spec = lookup(*key.split(": "))
+        start = {name: time for name in slots_of_row(spec)}
+        front = Fit((), ("a0", "a1", "a2", *free), slots.copy(), np.zeros((1, 2)))
+        found = Search._started(bare_search(), front, Form(spec.name, spec, start))
+        assert found.value(LAG) == pytest.approx(left) and front.value(LAG) == 2.0
+        assert [found.value(k) for k in start] == [time]
 
 
 @pytest.mark.slow

@@ -27,6 +27,7 @@ from .library import (
     FILTER_ZETA,
     INDEX,
     LAG,
+    LATE,
     LONE,
     OFFSET,
     ROWS,
@@ -412,6 +413,11 @@ class Search:
         # added stiffness is first subtracted from the core's, so that the start is as stiff as the base
         if "a0" in free:
             slots[0] /= max(1 + form.stiffness, 1.0)
+        # so is an added time from its lag: at small amplitudes a lag before the square is one behind it, and no descent
+        # leads from one to the other
+        if LAG in front.free:
+            late = sum(slots[INDEX[k]] for k in form.start if k in LATE)
+            slots[INDEX[LAG]] = max(slots[INDEX[LAG]] - late, 0.1 * slots[INDEX[LAG]])
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])
 
     def each_alone(self) -> Evidence | None:
