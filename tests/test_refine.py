@@ -230,6 +230,20 @@ def test_the_fitted_error_of_a_record_in_motion_is_that_of_its_prediction(plant,
     assert fitted == pytest.approx(predicted, rel=1e-3) and predicted > 1.0
 
 
+def test_a_record_at_rest_by_the_nominal_is_fitted_from_rest(plant):
+    """In every fit, also where the model in training explains another start better, as here that of a motion."""
+    nominal, (_, record), _ = plant
+    cut = Record("cut", TIME[:-200], record.voltage[200:], record.displacement[200:])
+    memory = FadingMemory(jnp.zeros(2, jnp.float32))
+    data = build_dataset(nominal, [record, cut], scaling="rms", difference="stencil", memory=lambda states: memory)
+    assert data.rest == (True, False)
+    (own,), (given,) = (refining._free(nominal, [cut], rest) for rest in ((), (True,)))
+    assert np.abs(own.start).max() > 0.1 and not np.asarray(own.weight[0, :20]).any()
+    np.testing.assert_array_equal(given.start, 0)
+    assert np.asarray(given.weight[0]).all()
+    np.testing.assert_allclose(given.target[0] * nominal.scales.state[0], cut.displacement, atol=1e-9)
+
+
 def test_held_out_blocks_choose_the_model_and_fit_nothing(plant, start, monkeypatch):
     """A third of a record, never its beginning. Of four scores the last fit starts at the least."""
     held_out = HeldOut(plant[1])

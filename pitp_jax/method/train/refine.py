@@ -40,7 +40,7 @@ from ..signal.record import Record
 from ..signal.sets import alike
 from ..simulate import ports
 from ..simulate.beginnings import with_zero_at_rest
-from ..simulate.decoder import still_state
+from ..simulate.decoder import rest_state, still_state
 from ..simulate.prediction import begin, predict
 from .creep_balance import SlowBalance
 from .dataset import Dataset
@@ -123,10 +123,10 @@ def refine(
             yield stepped, entry
         periods, stage = _LONGER * periods, "longer runs"
         # a fit of windows is useless if whole records drift away from it
-        windows = 2 * periods < longest and _miss(model, _free(model, rest), how) > max(
+        windows = 2 * periods < longest and _miss(model, _free(model, rest, data.rest), how) > max(
             _NEAR, _WORSE * _miss(model, runs, how)
         )
-    free = _free(model, rest)
+    free = _free(model, rest, data.rest)
     first = best = _nearest(model, free, how)
     scores = [held_out.score(first)]
     for stepped, entry in _descend(first, free, count, "partial runs", how):
@@ -136,7 +136,7 @@ def refine(
         yield best, {**entry, "held_out": min(scores)}
         if _is_flat(scores):
             break
-    free = _free(best, records)
+    free = _free(best, records, data.rest)
     for stepped, entry in _descend(best, free, count, "free runs", how):
         yield stepped, {**entry, "held_out": min(scores)}
 
@@ -267,8 +267,12 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
     return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
 
 
-def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
-    """Prepare all records for simulation; beyond the budget, some whole and the beginnings of the others."""
+def _free(model: Model, records: Sequence[Record], rest: Sequence[bool] = ()) -> tuple[Runs, ...]:
+    """Prepare all records for simulation; beyond the budget, some whole and the beginnings of the others.
+
+    A record that begins at rest by the nominal model does so in every fit: a half-trained model fits another start
+    better, and a model that is fitted from there predicts only from there.
+    """
     size = run_samples(records)
     each = _record_weights(model, records)
     if sum(min(r.samples, size) for r in records) <= max(BUDGET, _SHORTEST * len(records)):
@@ -286,6 +290,12 @@ def _free(model: Model, records: Sequence[Record]) -> tuple[Runs, ...]:
         )
     start, spent, begun = begin(model, records)
     begins = list(zip(start, spent, with_zero_at_rest(begun), strict=True))
+    for k in np.flatnonzero(rest):
+        if begun[k].begins != "rest":
+            own = replace(
+                begun[k], begins="rest", zero=model.output.offset, direction=model.output.polarity, free=False
+            )
+            begins[k] = rest_state(model), 0, own
     return tuple(
         _from_the_start(model, [records[k] for k in some], [begins[k] for k in some], samples, part * each[some])
         for some, samples, part in zip(sets, sizes, parts, strict=True)
