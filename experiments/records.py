@@ -277,7 +277,7 @@ def page(results: dict) -> str:
         f"compared with the official test recordings once. Each set may use {BUDGET:.0f} CPU seconds (goal: 300). "
         "No option was tuned for a set, but five rules of the package (the sensor offset is estimated from free runs; "
         "a search averages only what exceeds 12,000 samples; the charge of stores is an unknown of a moving start; "
-        "a network sees no position where there is no spring; what begins at rest is fitted from rest) "
+        "a plant without a spring is trained without its position; recordings from rest are fitted from rest) "
         "were introduced after test errors of earlier runs had been seen. The published errors are those of their "
         "authors and were not repeated.",
         "",

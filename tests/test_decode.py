@@ -236,6 +236,10 @@ def test_a_stroke_beyond_the_trained_one_counts_only_with_a_spring(linear):
         trained = replace(m, domain=replace(m.domain, region=((0.0, 1.0), (-1.0, 1.0))))
         assert outside_fraction(trained, np.full((10, 2), [5.0, 0.0])) == stroke
         assert outside_fraction(trained, np.full((10, 2), [5.0, 2.0])) == 1.0
+    for bounds, stroke in (([[0.0, -1.0], [0.0, 1.0]], 0.0), ([[0.0, -1.0], [1.0, 1.0]], 1.0)):  # or a network sees x
+        encoder = CompactEncoder(2, 0, width=2, bounds=np.array(bounds), key=jax.random.key(0))
+        trained = replace(free, encoder=encoder, domain=replace(free.domain, region=((0.0, 1.0), (-1.0, 1.0))))
+        assert outside_fraction(trained, np.full((10, 2), [5.0, 0.0])) == stroke
 
 
 def test_a_memory_outside_its_training_is_named_by_its_time(linear):

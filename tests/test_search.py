@@ -202,7 +202,13 @@ def test_an_added_time_is_subtracted_from_the_lag_of_the_core(time, lag):
     slots = np.zeros(len(NAMES))
     slots[[0, 1, 2, INDEX[LAG]]] = 1.0, 0.1, 0.01, 2.0
     electrode, friction = "electrode_rc: one lag", "coulomb_friction: Coulomb"
-    for free, key, left in (((LAG,), electrode, lag), ((), electrode, 2.0), ((LAG,), friction, 2.0)):
+    given = (
+        ((LAG,), electrode, lag),
+        ((), electrode, 2.0),
+        ((LAG,), friction, 2.0),
+        ((LAG,), "sensor_lag: one lag", time),
+    )
+    for free, key, left in given:
         spec = lookup(*key.split(": "))
         start = {name: time for name in slots_of_row(spec)}
         front = Fit((), ("a0", "a1", "a2", *free), slots.copy(), np.zeros((1, 2)))

@@ -87,7 +87,7 @@ _checks: dict[tuple, "_Check"] = {}
 
 
 def _of_text(annotation, names):
-    """The annotation without strings; `Any` where only the type checker knows a name."""
+    """Resolve an annotation given as text; a name that only the type checker knows becomes `Any`."""
 
     def known():
         """Carry the annotation."""

@@ -78,8 +78,9 @@ class Fit:
 
     def again(self, **changes) -> "Fit":
         """Copy the fit with the optimiser reset, so that the copy can be continued."""
-        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy(), "descent": _FIRST, "slow": 0}
-        return replace(self, **(fresh | {"taken": 0, "done": False} | changes))
+        fresh = {"slots": self.slots.copy(), "starts": self.starts.copy()}
+        fresh |= {"descent": _FIRST, "slow": 0, "taken": 0, "done": False}
+        return replace(self, **(fresh | changes))
 
     def anew(self, **changes) -> "Fit":
         """Copy the fit for other free parameters; its cost and derivatives are not yet computed."""

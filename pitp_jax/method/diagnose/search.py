@@ -415,7 +415,7 @@ class Search:
             slots[0] /= max(1 + form.stiffness, 1.0)
         # so is an added time from its lag: at small amplitudes a lag before the square is one behind it, and no descent
         # leads from one to the other
-        if LAG in front.free:
+        if LAG in front.free and LAG not in form.start:
             late = sum(slots[INDEX[k]] for k in form.start if k in LATE)
             slots[INDEX[LAG]] = max(slots[INDEX[LAG]] - late, 0.1 * slots[INDEX[LAG]])
         return front.anew(names=(*front.names, form.name), free=free, slots=slots, residuals=[])

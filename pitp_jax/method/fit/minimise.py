@@ -69,7 +69,7 @@ class Damped:
 
 
 class Descent(NamedTuple):
-    """How far the next step of one fit goes: its damping, and the factor on it if that step is rejected."""
+    """The damping of a fit's next step, and the factor by which it grows if that step is rejected."""
 
     damping: float = _FIRST_DAMPING
     growth: float = 2.0

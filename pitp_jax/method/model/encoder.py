@@ -295,6 +295,13 @@ def plain(encoder: AbstractEncoder) -> AbstractEncoder:
     return encoder.inner if isinstance(encoder, AdaptedEncoder) else encoder
 
 
+def ignores_position(encoder: AbstractEncoder) -> bool:
+    """Return whether the logits are the same at every displacement x."""
+    if isinstance(encoder, CompactEncoder):
+        return float(np.ptp(np.asarray(encoder.bounds)[:, 0])) == 0.0
+    return isinstance(encoder, ConstantEncoder)
+
+
 def fast_memories(count: int) -> int:
     """Return the number of memories that the offset token's net sees, fastest first: all but the two slowest."""
     return max(count - 2, 0)

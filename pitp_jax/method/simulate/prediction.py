@@ -15,6 +15,7 @@ from ...common.errors import refuse_traced
 from ...common.shown import Shown
 from ..model.coverage import untrained, untrained_words
 from ..model.dominant import has_spring
+from ..model.encoder import ignores_position
 from ..model.fitted import Fitted, fitted_of
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
@@ -25,6 +26,7 @@ from ..signal.record import Record
 from ..signal.sets import alike, check_set, session_clock
 from . import ports
 from .beginnings import beginnings
+from .decoder import rest_state
 from .model_runs import evaluate, model_runs
 from .moving_start import initial_samples
 
@@ -136,12 +138,19 @@ def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple])
 
 
 def begin(
-    model: Model, records: Sequence[Record], aged: bool | None = None
+    model: Model, records: Sequence[Record], aged: bool | None = None, rest: Sequence[bool] = ()
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
-    """Return the initial states, the samples used for each, and how each record starts, with offset and direction."""
+    """Return the initial states, the samples used for each, and how each record starts, with offset and direction.
+
+    `rest`: per record, whether it is known to begin at rest, with the model's offset and direction.
+    """
     aged = session_clock(records) if aged is None else aged
     ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
     begun, starts = beginnings(model, records, ages)
+    for k in np.flatnonzero(rest):
+        if begun[k].begins != "rest":
+            known = {"zero": model.output.offset, "direction": model.output.polarity, "free": False}
+            begun[k], starts[k] = replace(begun[k], begins="rest", **known), rest_state(model, ages[k])
     spent = tuple(initial_samples(model, r) if b.begins == "moving" else 0 for r, b in zip(records, begun, strict=True))
     if aged and model.effects:
         # stretch by earlier records of the session remains (Mullins)
@@ -178,7 +187,7 @@ def _beyond(model: Model, features: np.ndarray) -> np.ndarray:
     """Return how far each feature lies outside its trained range, relative to this range; negative inside."""
     low, high = np.asarray(model.domain.region).T
     beyond = np.maximum(low - features, features - high) / np.maximum(high - low, high[0] - low[0])
-    if not has_spring(model.physical_coefficients):  # then every position is as good as another
+    if ignores_position(model.encoder) and not has_spring(model.physical_coefficients):
         beyond[:, 0] = -1.0
     return beyond
 

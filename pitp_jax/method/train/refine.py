@@ -40,7 +40,7 @@ from ..signal.record import Record
 from ..signal.sets import alike
 from ..simulate import ports
 from ..simulate.beginnings import with_zero_at_rest
-from ..simulate.decoder import rest_state, still_state
+from ..simulate.decoder import still_state
 from ..simulate.prediction import begin, predict
 from .creep_balance import SlowBalance
 from .dataset import Dataset
@@ -288,14 +288,8 @@ def _free(model: Model, records: Sequence[Record], rest: Sequence[bool] = ()) ->
             [size, min(size, max(BUDGET // 2 // len(sets[1]), _SHORTEST))],
             [0.5 / len(some) for some in sets],
         )
-    start, spent, begun = begin(model, records)
+    start, spent, begun = begin(model, records, rest=rest)
     begins = list(zip(start, spent, with_zero_at_rest(begun), strict=True))
-    for k in np.flatnonzero(rest):
-        if begun[k].begins != "rest":
-            own = replace(
-                begun[k], begins="rest", zero=model.output.offset, direction=model.output.polarity, free=False
-            )
-            begins[k] = rest_state(model), 0, own
     return tuple(
         _from_the_start(model, [records[k] for k in some], [begins[k] for k in some], samples, part * each[some])
         for some, samples, part in zip(sets, sizes, parts, strict=True)
