@@ -123,7 +123,7 @@ def test_without_a_spring_no_position_differs_from_another():
 
     for a0, alike in ((0.0, True), (300.0, False)):
         features, encoder = randomly_trained(a0)
-        moved = features + np.eye(features.shape[1])[0]
+        moved = features + (np.arange(features.shape[1]) != 1)  # x and its lags, not x'
         tokens, elsewhere = (np.asarray(jax.vmap(encoder)(jnp.asarray(f))) for f in (features, moved))
         assert np.allclose(tokens, elsewhere) is alike
         assert np.ptp(tokens, 0).max() > 0.01  # of the velocity
