@@ -64,6 +64,14 @@ def test_bounds_are_met_and_kept(bounded):
     np.testing.assert_allclose(found, truth.x, rtol=0, atol=1e-4)
 
 
+@pytest.mark.parametrize(("most", "converged"), [(2, False), (99, True)])
+def test_the_answer_is_pythons_own_truth_value(most, converged):
+    """A cost in NumPy's number makes comparisons in NumPy's kind, which the type of the result does not allow."""
+    at, start = normal(residual), np.array([1.0, 0.0, 1.7, 0.0])
+    found = minimise(lambda p: at(p)._replace(cost=np.float64(at(p).cost)), start, FREE, most=most)
+    assert found[1] is converged
+
+
 def test_a_start_above_a_bound_is_brought_back():
     upper = np.array([np.inf, -0.5, np.inf, np.inf])
     first, _, _ = next(steps(normal(residual), np.array([1.0, 3.0, 1.7, 0.0]), upper))

@@ -112,14 +112,13 @@ def minimise(
     It takes at most `most` steps and ends after one that lowers the cost by less than the fraction `least`. Parameters
     with a finite `upper` count as logarithms, whose steps are bounded.
     """
-    slow, before, best, converged = 0, np.inf, params, False
+    slow, before, best = 0, np.inf, params
     for best, here, met in islice(steps(normal, params, upper), most):
         slow = slow + 1 if before - here.cost < _SLOW * before else 0
-        last = before - here.cost < least * before
-        before, converged = here.cost, met or last
-        if slow == _PATIENCE or last:
+        if met or slow == _PATIENCE or before - here.cost < least * before:
             return best, True
-    return best, converged
+        before = here.cost
+    return best, False
 
 
 def steps(
