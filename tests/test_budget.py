@@ -10,15 +10,16 @@ from pitp_jax.method.diagnose.budget import Budget
 
 def test_what_a_budget_does_not_reach_is_noted_once():
     budget = Budget(100.0)
-    assert budget.allows("this") and not budget.allows("that", 200.0) and not budget.allows("that", 200.0)
+    assert budget.allows("this")
+    budget.reserve = 200.0
+    assert not budget.allows("that") and not budget.allows("that")
     assert budget.notes() == ("The search stopped after 100 s (--seconds) and did not try: that",)
-    assert Budget().allows("anything", 1e9) and Budget().notes() == ()
+    assert Budget(reserve=1e9).allows("anything") and Budget().notes() == ()
     assert Budget(0.0).remaining < 0 and np.isinf(Budget().remaining)
 
 
 def test_what_follows_a_search_has_its_reserve():
-    budget = Budget(100.0, reserve=60.0)
-    assert budget.allows("this", 30.0) and not budget.allows("that", 50.0)
+    assert Budget(100.0, reserve=60.0).allows("this") and not Budget(50.0, reserve=60.0).allows("this")
 
 
 @pytest.mark.parametrize(("seconds", "said"), [(np.inf, "6 s elapsed"), (100.0, "6 of at most 100 s elapsed")])

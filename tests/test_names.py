@@ -15,7 +15,11 @@ from pitp_jax.method.diagnose.fit import Fit, at
 from pitp_jax.method.diagnose.gap import explains_most
 from pitp_jax.method.diagnose.handing_back import surely_improves
 from pitp_jax.method.diagnose.library import (
+    DELAY,
+    FILTER,
+    FILTER_ZETA,
     INDEX,
+    LAG,
     NAMES,
     OFF,
     PLACES,
@@ -287,6 +291,42 @@ def test_names_that_the_records_cannot_tell_apart_are_tied():
     sets = hypothesis(("backlash",), 0.300), hypothesis(("drag",), 0.301), hypothesis(("stiffening",), 0.7)
     said = decide(searched(*sets), 0.0, 0.0, 6)
     assert (said.verdict, said.said, said.tied) == ("explained", ("backlash",), {"backlash": ("drag",)})
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(
+    ("rival", "verdict", "said"), [(0.301, "partly", ("drag",)), (0.4, "explained", ("drag", "backlash"))]
+)
+def test_a_further_name_is_said_only_if_no_other_does_as_well(rival, verdict, said):
+    """Beside an electrode with one lag for a film of three, a second mode did as well as a shift of the clock."""
+    sets = hypothesis(("drag",), 0.5), hypothesis(("drag", "backlash"), 0.3), hypothesis(("drag", "slack"), rival)
+    found = decide(searched(*sets), 0.0, 0.0, 6)
+    assert (found.verdict, found.said, found.tied) == (verdict, said, {n: () for n in said})
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(
+    ("errors", "said"),
+    [
+        ({(LAG,): 0.1, (FILTER, FILTER_ZETA): 0.1}, ("sensor_lag",)),
+        ({(DELAY,): 0.2, (LAG,): 0.3, (DELAY, LAG): 0.1}, ("delay", "sensor_lag")),
+        ({("a2",): 0.1}, ("added_mass",)),
+        ({(LAG,): 0.95}, ()),
+    ],
+)
+def test_what_the_structure_of_a_refit_adds_is_named(errors, said):
+    """Nothing improves the fit beside a lag that was fitted along: the lag closed the gap and had no name."""
+    own = ("a0", "a1")
+    sets = {(): hypothesis((), 1.0)} | {more: hypothesis((), error) for more, error in errors.items()}
+    search = searched(refit=True)
+    search.movable, search.library = own, []
+    search.linears = [replace(h, fit=replace(h.fit, free=(*own, *more))) for more, h in sets.items()]
+    search.base = search.linear = min(search.linears, key=lambda h: h.rms)
+    search.every = {frozenset(): search.base}
+    search.name_structures()
+    found = decide(search, 0.0, 0.0, 6)
+    assert {*found.said} == {*said} and found.verdict == ("explained" if said else "unknown")
+    assert search.base.fit.free == (own if said else search.linears[-1].fit.free)
 
 
 @pytest.mark.usefixtures("no_reference")

@@ -88,9 +88,9 @@ class Budget:
         """Return whether the time of a search is used up."""
         return self.stopped or self.remaining <= self.reserve
 
-    def allows(self, what: str, needed: float = 0.0) -> bool:
-        """Return whether more than `needed` seconds of the search remain; otherwise note `what` as not tried."""
-        if not self.spent and self.remaining - self.reserve > needed:
+    def allows(self, what: str) -> bool:
+        """Return whether time of the search remains; otherwise note `what` as not tried."""
+        if not self.spent:
             return True
         self.skipped += [what] if what not in self.skipped else []
         return False

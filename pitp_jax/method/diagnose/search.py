@@ -50,6 +50,8 @@ _LINEAR_STEPS = 25  # of the linear models, on which every set builds
 _REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
+# the effect that a slot adds to a linear model
+_ADDED_BY = {slot: group(r.name) for r in ROWS for slot in slots_of_row(r)} | {"a2": "added_mass"}
 
 
 @dataclass(frozen=True)
@@ -499,6 +501,27 @@ class Search:
                 fronts += [h for h in level[BEAM:] if h.names == (PARAMETERS,)]
         self._backward()
         self.fewer_moved()
+        if not self.best().names and {*self.base.fit.free} > {*self.movable}:
+            self.name_structures()
+
+    def name_structures(self) -> None:
+        """Search among the structures of a refit alone: what one adds to the nominal's own is an effect.
+
+        Without a name, a lag behind the core closed 94 % of a gap that had no cause.
+        """
+        named: dict[frozenset, Hypothesis] = {}
+        for h in self.linears:
+            names = tuple(dict.fromkeys(_ADDED_BY[k] for k in h.fit.free if k not in self.movable))
+            other = named.get(frozenset(names))
+            # a lag and a filter have one name, and the filter one number more
+            if {*h.fit.free} >= {*self.movable} and (other is None or needed(h, other) >= rules.SURE):
+                named[frozenset(names)] = replace(h, fit=h.fit.again(names=names), labels=names)
+        before = self.every, self.base, self.linear
+        self.every, self.base, self.linear = named, named[frozenset()], named[frozenset()]
+        if self.best().names:
+            self.waiting.clear()
+        else:
+            self.every, self.base, self.linear = before
 
     def level(self, depth: int, without: Set[str] = frozenset()) -> list[Hypothesis]:
         """Return the hypotheses of `depth` effects that lack the effects in `without`, best first."""

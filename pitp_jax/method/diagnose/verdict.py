@@ -3,9 +3,10 @@
 no_gap     the nominal's error is at most OWN times that on its own records; or it is at most OWN times the sensor's
            noise or USUAL times that on its own records (refitted or not), and neither a set nor the reference is
            likely better by 1 - FIRST (P >= LIKELY)
-explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or two of them
-           are tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
-partly     the same, but a flexible model is better by less than 1 - FIRST, or closes more if it is added
+explained  every effect beats, with P >= SURE, the best hypothesis of the same size searched without it (or the first is
+           tied); a flexible model is not better (P < LIKELY), and added to the hypothesis it closes nothing more
+partly     the first does, but a further one does not; or a flexible model is better by less than 1 - FIRST, or closes
+           more if it is added
 unknown    otherwise: a flexible model is better by 1 - FIRST with P >= SURE, an unnamed force, a zero of the plant or
            an undecided effect is part of it, a larger hypothesis has less than HALF the error and does not need all of
            its effects, or few excitations and a rival within TWICE the error
@@ -127,13 +128,18 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     deepest = min(deeper, key=lambda h: h.rms, default=None)
     if not settled and deepest is not None and not _still_needed(search, chosen, deepest):
         return answer("unknown", reason=_LARGER, **seen)
-    said, tied = [], {}
-    # the effect that closes most comes first
+    said, tied, separated = [], {}, True
+    # the effect that closes most comes first; a further one that these recordings do not separate from others may stand
+    # for what the form of the first lacks, and is only a part of the model
     order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
             continue
         few = distinct < rules.EXCITATIONS and not settled and rivals[name].rms < rules.TWICE * chosen.rms
+        certain = p[label] >= rules.SURE and not few
+        if said and not certain:
+            separated = False
+            continue
         equal = () if p[label] >= rules.SURE else _tie(search, chosen, name, label)
         if equal is None or few:
             rival = "+".join(rivals[name].labels)
@@ -151,8 +157,8 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
         tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
-    open_ = more >= rules.SURE or deepest is not None or probability(flexible, chosen.evidence) >= rules.LIKELY
-    verdict = "partly" if open_ and not settled else "explained"
+    closed = more < rules.SURE and deepest is None and probability(flexible, chosen.evidence) < rules.LIKELY
+    verdict = "explained" if separated and (settled or closed) else "partly"
     return answer(verdict, said, tied, **seen)
 
 

@@ -125,10 +125,7 @@ def _shares(values) -> np.ndarray:
 
 def _records(seen: Seen, errors) -> dict:
     energy = [np.sum(s.weight * (e**2 - s.noise**2)) for s, e in zip(seen.motions, errors, strict=True)]
-    shares: dict[str, float] = {}
-    for s, v in zip(seen.motions, _shares(energy), strict=True):  # pieces of a recording have its name
-        shares[s.record.name] = shares.get(s.record.name, 0.0) + float(v)
-    return shares
+    return dict(zip([s.record.name for s in seen.motions], _shares(energy).tolist(), strict=True))
 
 
 def _edges_hz(seen: Seen) -> np.ndarray:
