@@ -11,22 +11,16 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Float
 
 from ..model.model import Model
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
 from ..signal.start import Response, estimate_start, first_part
-from .decoder import still_state
 from .model_runs import Models, evaluate, model_runs, models_of, runs_of, sample
-from .moving_start import moving_states
+from .moving_start import moving_states, still
 
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search
-
-
-def still(model: Model, row: Float[Array, "3"], *_) -> tuple[Array, Array]:
-    """Compute the equilibrium state of a scaled displacement, a voltage (V) and an age (s), for `evaluate`."""
-    return row, still_state(model, *row)
 
 
 def settled_states(

@@ -1,9 +1,11 @@
 """Estimate the state in which records start to move, from the free runs of a model over their first samples.
 
-    p = argmin sum (x(t; p) - y(t))^2 + r^2 |p - (mean y, 0, ..., mean y, mean u / max |u|)|^2,    r = 1e-3
+    p = argmin sum (x(t; s + w p) - y(t))^2 + r^2 |p|^2,    r = 1e-3
 
-p: the state S(0), and the level and the input at which all memories and effects are assumed settled. A store that is
-slower than the record keeps the mean of the input, not u(0). Gauss-Newton, all records at once.
+s: the equilibrium of mean y and mean u.    w: 1 for S; for each state of memories and effects, the larger of its range
+over the run from s and its distance from the equilibrium of the highest |u|.    All states are unknown, except a clock:
+a loop starts with any force inside it, and a store that is slower than the record keeps a charge from before it.
+Levenberg and Marquardt with several dampings at once, all records at once.
 """
 
 from collections.abc import Sequence
@@ -14,11 +16,18 @@ from jaxtyping import Array, Float
 from ..model.model import Model
 from ..signal.initial_state import INITIAL_SAMPLES, first_known
 from ..signal.record import Record
-from .decoder import settled_state
+from .decoder import still_state
 from .model_runs import evaluate, model_runs
 
-_STEP, _ITERATIONS, _PRIOR = 1e-6, 12, 1e-3  # difference of a scaled state; Gauss-Newton; r
-_SHORTER = 0.2  # of a step that overshoots
+_STEP, _ITERATIONS, _PRIOR = 1e-6, 20, 1e-3  # difference of a number; of Levenberg and Marquardt; r
+# of the largest singular value, tried at once; the first keeps the state
+_DAMPINGS = np.append([np.inf, 0.0], np.geomspace(1e-3, 1, 7))
+_ENOUGH, _LOST = 0.999, 1e6  # of the cost, which a step must leave at most; scaled error of a run that diverges
+
+
+def still(model: Model, row: Float[Array, "3"], *_) -> tuple[Array, Array]:
+    """Compute the equilibrium state of a scaled displacement, a voltage (V) and an age (s), for `evaluate`."""
+    return row, still_state(model, *row)
 
 
 def initial_samples(model: Model, record: Record) -> int:
@@ -44,43 +53,38 @@ def moving_states(
         records: of one sampling rate.
         ages: of the film at their first samples, s.
     """
-    counts, dt, order = [initial_samples(model, r) for r in records], records[0].dt, model.order
+    counts, dt = [initial_samples(model, r) for r in records], records[0].dt
     given = list(zip(records, counts, strict=True))
     voltage = np.stack([np.pad(r.voltage[:n], (0, max(counts) - n), mode="edge") for r, n in given])
     y = np.stack([np.pad(r.displacement[:n], (0, max(counts) - n), constant_values=np.nan) for r, n in given])
     x = model.output.to_model(y) / model.scales.state[0]
-    seen, size = np.isfinite(x), order + 2
-    unit = np.abs(voltage).max() or 1.0
-    best = np.zeros((len(records), size))
-    best[:, [0, order]] = (np.nansum(x, 1) / np.maximum(seen.sum(1), 1))[:, None]
-    best[:, -1] = [r.voltage.mean() / unit for r in records]
-    prior, steps = best, _STEP * np.eye(size + 1, size, -1)
-
-    def starts(rows):
-        flat = rows.reshape(-1, size)
-        age = np.repeat(ages, rows.shape[1])
-        return evaluate(_settled, model, unit * flat[:, -1], age, *flat[:, :-1].T)
+    seen = np.isfinite(x)
+    mean, volts = np.nansum(x, 1) / np.maximum(seen.sum(1), 1), [r.voltage.mean() for r in records]
+    centre = evaluate(still, model, mean, volts, ages)
+    far = evaluate(still, model, 1.0, np.abs(voltage).max(1), ages)
+    path = np.where(seen[..., None], model_runs(model, voltage, dt, centre)[0], centre[:, None])
+    unit = np.maximum(np.ptp(path, axis=1), np.abs(far - centre))
+    unit[:, : model.order] = 1.0
+    unit = np.where(evaluate(still, model, mean, volts, ages + 1) == centre, np.nan_to_num(unit), 0.0)
+    best, size = np.zeros_like(centre), len(centre[0])
 
     def residuals(rows):
-        runs = model_runs(model, np.repeat(voltage, rows.shape[1], axis=0), dt, starts(rows))[1]
-        error = np.where(seen[:, None], runs.reshape(*rows.shape[:2], -1) - x[:, None], 0.0)
-        return np.concatenate([error, _PRIOR * (rows - prior[:, None])], axis=2)
+        begun = (centre[:, None] + unit[:, None] * rows).reshape(-1, size)
+        runs = model_runs(model, np.repeat(voltage, rows.shape[1], axis=0), dt, begun)[1].reshape(*rows.shape[:2], -1)
+        # a run that diverges is a large error, so that no step leads there
+        error = np.clip(np.nan_to_num(runs, nan=_LOST), -_LOST, _LOST) - x[:, None]
+        return np.concatenate([np.where(seen[:, None], error, 0.0), _PRIOR * rows], axis=2)
 
     for _ in range(_ITERATIONS):
-        both = residuals(best[:, None] + steps)
-        error = both[:, 0]
-        slopes = (both[:, 1:] - error[:, None]).mT / _STEP
-        finite = np.isfinite(both.sum((1, 2)))[:, None]  # a record whose runs diverge keeps its state
-        inverse = np.linalg.pinv(np.where(finite[..., None], slopes, 0.0))
-        move = -(inverse @ error[..., None])[..., 0]
-        after = residuals((best + move)[:, None])[:, 0]
-        better = (after**2).sum(1) < (error**2).sum(1)
-        move = np.where(finite, np.where(better, 1.0, _SHORTER)[:, None] * move, 0.0)
-        best = best + move
-        if np.abs(move).max() < _STEP:
+        both = residuals(best[:, None] + _STEP * np.eye(size + 1, size, -1))
+        error, slopes = both[:, :1], (both[:, 1:] - both[:, :1]).mT / _STEP
+        left, sizes, right = np.linalg.svd(slopes, full_matrices=False)
+        damped = sizes[:, None] / (sizes[:, None] ** 2 + (_DAMPINGS * sizes[:, :1])[..., None] ** 2)
+        tried = best[:, None] - damped * (error @ left) @ right
+        costs = (residuals(tried) ** 2).sum(2)
+        costs[:, 0] *= _ENOUGH
+        chosen = costs.argmin(1)
+        best = tried[np.arange(len(tried)), chosen]
+        if not chosen.any():
             break
-    return starts(best[:, None])
-
-
-def _settled(model: Model, row: Float[Array, " numbers"], *_) -> tuple[Array, Array]:
-    return row, settled_state(model, row[2:-1], row[-1], row[0], row[1])
+    return centre + unit * best

@@ -149,7 +149,7 @@ def begin(
     begun, starts = beginnings(model, records, ages)
     for k in np.flatnonzero(rest):
         if begun[k].begins != "rest":
-            known = {"zero": model.output.offset, "direction": model.output.polarity, "free": False}
+            known = {"zero": model.output.offset, "direction": model.output.polarity}
             begun[k], starts[k] = replace(begun[k], begins="rest", **known), rest_state(model, ages[k])
     spent = tuple(initial_samples(model, r) if b.begins == "moving" else 0 for r, b in zip(records, begun, strict=True))
     if aged and model.effects:
