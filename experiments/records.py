@@ -80,8 +80,7 @@ TRIED = {
     "a level of -6.3 V, from where the root of the outflow is almost a line.",
     "bouc_wen": "In the run before (9fa4a629) the same way had 40.2e-5 m on the multisine: its start, in motion, was "
     "called rest, because a hysteresis loop that starts without force fitted it hardly better. Since then all states "
-    "of a moving start are estimated, which that test error prompted. Tried: `fit` alone 9.7 % (20.4 with an offset of "
-    "its own for the recording in motion).",
+    "of a moving start are estimated, which that test error prompted. The other sets were run before this change.",
     "hasel_peano": "Tried on the first 70 % of each recording: `fit` 20 / 9.5 / 115 % on the last parts of steps, 3 "
     "and 7 Hz, `identify` 120 / 83 / 47 %. The voltage grows along each recording, so these parts ask"
     " for an amplitude that was never seen; a whole recording is left out since.",
