@@ -291,6 +291,10 @@ EQUATIONS = {
     "force_limit: inside the loop": Equation(((3.0,),), {2: 2e-2}, carried=_beyond_limit),
     "slack: free fall": Equation(((1.5,),), {2: 2e-2}, limit=lambda acc, p: max(acc, -1 / p.inverse)),
     "electrode_rc: one lag": Equation(((0.02,),), {2: 1e-6}, **_lags((1.0,), "u")),
+    "electrode_rc: far part": Equation(
+        ((0.03, 0.7),), {2: 1e-6}, begin=lambda x, u, p: (u,), rates=lambda x, v, u, s, p: ((u - s[0]) / p.tau,),
+        film=lambda u, s, p: (1 - p.share) * u + p.share * s[0],
+    ),
     "bleeder: one lag each way": Equation(
         ((0.005, 0.04),), {2: 1e-3}, film=lambda u, s, p: s[0], begin=lambda x, u, p: (u,),
         rates=lambda x, v, u, s, p: ((u - s[0]) / (p.up if abs(u) > abs(s[0]) else p.down),),
@@ -329,6 +333,9 @@ EQUATIONS = {
     "stretch_coupling: exponential": Equation(((0.3,), (-0.3,)), {2: 3e-4}, couple=lambda f, x, p: f * np.exp(p.b * x)),
     "dielectric_saturation: rational": Equation(
         ((0.3,),), {2: 1e-6}, couple=lambda f, x, p: f / (1 + p.inverse * abs(f))
+    ),
+    "dielectric_saturation: sharp": Equation(
+        ((0.3,),), {2: 2e-6}, couple=lambda f, x, p: f / np.hypot(1, p.inverse * f)
     ),
     "sensor_gain: share": Equation(((0.1,), (-0.1,)), {2: 2e-6}, sensor=lambda x, s, p: (1 + p.d) * x),
     "feedthrough: of the force": Equation(((1e-7,), (-1e-7,)), {2: 2e-6}, crosses=lambda u, p: p.d * u**2),

@@ -2,8 +2,10 @@
 
 import numpy as np
 import pytest
+from typed import some
 
 from pitp_jax.method.diagnose.evidence import evidence, probability
+from pitp_jax.method.diagnose.gap import interval
 
 FLOORS = np.full(3, 1e-6)
 
@@ -76,3 +78,15 @@ def test_of_two_records_parts_are_drawn():
         after, before = (evidence(rows, FLOORS[:2], parts=parts) for rows in (mended, base))
         assert probability(after, before, 0.9) == pytest.approx(sure, abs=0.03)
         assert after.score == pytest.approx(2 * np.log(0.2) / 2, abs=0.1)
+
+
+def test_the_interval_of_what_is_closed_holds_the_truth():
+    """The errors of eight recordings vary by a third: of 100 sets the interval holds 0.7 in 89, one of 50 % in 48."""
+    rng, held = np.random.default_rng(0), 0
+    for _ in range(100):
+        sizes = np.exp(0.3 * rng.standard_normal((2, 8))) * [[1.0], [0.3]]
+        rows = [[s * rng.standard_normal(120) for s in row] for row in sizes]
+        before, after = (evidence(r, np.full(8, 1e-9)) for r in rows)
+        low, high = some(interval(before, after, np.ones(8), 0.0))
+        held += low <= 0.7 <= high
+    assert held >= 82

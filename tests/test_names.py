@@ -15,6 +15,7 @@ from pitp_jax.method.diagnose.fit import Fit, at
 from pitp_jax.method.diagnose.gap import explains_most
 from pitp_jax.method.diagnose.handing_back import surely_improves
 from pitp_jax.method.diagnose.library import (
+    CHANGED,
     DELAY,
     FILTER,
     FILTER_ZETA,
@@ -302,6 +303,18 @@ def test_a_further_name_is_said_only_if_no_other_does_as_well(rival, verdict, sa
     sets = hypothesis(("drag",), 0.5), hypothesis(("drag", "backlash"), 0.3), hypothesis(("drag", "slack"), rival)
     found = decide(searched(*sets), 0.0, 0.0, 6)
     assert (found.verdict, found.said, found.tied) == (verdict, said, {n: () for n in said})
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize(
+    ("alone", "verdict", "said"), [(0.4, "partly", ("drag",)), (0.8, "explained", (CHANGED, "drag"))]
+)
+def test_coefficients_that_change_beside_an_effect_are_named_only_where_they_close_most(alone, verdict, said):
+    """A drag and a saturation of another form: the coefficients, all 0.7 times as large, took what the form lacked."""
+    both = hypothesis((PARAMETERS, "drag"), 0.3, labels=(CHANGED, "drag"))
+    sets = hypothesis(("drag",), alone), hypothesis((PARAMETERS,), 0.9, labels=(CHANGED,)), both
+    found = decide(searched(*sets), 0.0, 0.0, 6)
+    assert (found.verdict, found.said) == (verdict, said)
 
 
 @pytest.mark.usefixtures("no_reference")

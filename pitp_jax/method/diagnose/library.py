@@ -201,6 +201,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
     yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
+    yield "electrode_rc: far part", (0.2 * tau, 0.8), (tau, 0.8)
     yield "bleeder: one lag each way", (0.05 * tau, 0.5 * tau), (0.5 * tau, 0.05 * tau), (0.3 * tau, 2 * tau)
     yield "force_lag: one lag", (0.2 * tau,), (tau,)
     yield "slew_limit: rate limit", *((1 / (f * s.slew),) for f in (0.1, 0.2, 0.4, 0.6, 0.8))
@@ -215,6 +216,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "stretch_coupling: linear", (0.1 / x,), (-0.1 / x,)
     yield "stretch_coupling: exponential", (-1 / x,)
     yield "dielectric_saturation: rational", (0.1 / pull,), (0.6 / pull,)
+    yield "dielectric_saturation: sharp", (0.5 / pull,), (1.5 / pull,)
     yield "second_mode: between film and sensor", *((0.3, *m) for m in modes)
     yield "second_mode: hung on", *((0.2, *m) for m in modes)
     if s.session > 1.5 * s.duration:

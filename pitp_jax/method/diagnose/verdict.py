@@ -130,14 +130,14 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
         return answer("unknown", reason=_LARGER, **seen)
     said, tied, separated = [], {}, True
     # the effect that closes most comes first; a further one that these recordings do not separate from others may stand
-    # for what the form of the first lacks, and is only a part of the model
-    order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: -fractions[n[1]])
+    # for what the form of the first lacks, as changed coefficients do, and is only a part of the model
+    order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: (-fractions[n[1]], n[0] == PARAMETERS))
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
             continue
         few = distinct < rules.EXCITATIONS and not settled and rivals[name].rms < rules.TWICE * chosen.rms
         certain = p[label] >= rules.SURE and not few
-        if said and not certain:
+        if said and (name == PARAMETERS or not certain):
             separated = False
             continue
         equal = () if p[label] >= rules.SURE else _tie(search, chosen, name, label)

@@ -1,7 +1,7 @@
 """Effects that change the film's force behind the square of the voltage (port SQ).
 
 stretch_coupling        F (1 + b x),  F exp(b x): never a pushing force
-dielectric_saturation   F / (1 + |F| / F_s)
+dielectric_saturation   F / (1 + (|F| / F_s)^n)^(1/n),  n = 1 (rational) or 2 (sharp)
 """
 
 from collections.abc import Callable
@@ -20,11 +20,18 @@ def _stretched(form: str, title: str, equation: str, factor: Callable) -> Effect
     )  # fmt: skip
 
 
-def _unsaturated(p, force, x):
-    """Return the film's force for a wanted force; infinite if no electric field can produce it."""
-    remains = 1 - p.inverse * jnp.abs(force)  # of the limit F_s, as a fraction of it
-    inside = force / jnp.where(remains > 0, remains, 1.0)
-    return jnp.where(remains > 0, inside, jnp.sign(force) * jnp.inf)
+def _saturating(form: str, title: str, equation: str, n: int, root: Callable) -> EffectSpec:
+    """Build a catalogue entry: a force below F_s, with the power n and its root; no field makes a force beyond F_s."""
+
+    def unsaturated(p, force, x):
+        remains = 1 - (p.inverse * jnp.abs(force)) ** n
+        return jnp.where(remains > 0, force / root(jnp.where(remains > 0, remains, 1.0)), jnp.sign(force) * jnp.inf)
+
+    return EffectSpec(
+        "dielectric_saturation", form, (nonlinear("inverse", "1/V^2", force=-1),), title,
+        f"{equation}, inverse = 1 / F_s", "coupling", "SQ",
+        law=lambda p, force, x: force / root(1 + (p.inverse * jnp.abs(force)) ** n), inverse=unsaturated,
+    )  # fmt: skip
 
 
 COUPLING = (
@@ -37,11 +44,12 @@ COUPLING = (
         "exponential", "Zipping electrodes pull less and less, or more and more, as they move.", "F exp(b x)",
         lambda r: jnp.exp(jnp.clip(r, -8.0, 8.0)),
     ),
-    EffectSpec(
-        "dielectric_saturation", "rational", (nonlinear("inverse", "1/V^2", force=-1),),
-        "At high field the force grows less than with the square of "
-        "the voltage.",
-        "F / (1 + |F| / F_s), inverse = 1 / F_s", "coupling", "SQ",
-        law=lambda p, force, x: force / (1 + p.inverse * jnp.abs(force)), inverse=_unsaturated,
+    _saturating(
+        "rational", "At high field the force grows less than with the square of the voltage.", "F / (1 + |F| / F_s)",
+        1, lambda v: v,
+    ),
+    _saturating(
+        "sharp", "The force grows with the square of the voltage up to near its limit.", "F / sqrt(1 + (F / F_s)^2)",
+        2, jnp.sqrt,
     ),
 )  # fmt: skip

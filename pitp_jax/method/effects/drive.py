@@ -1,6 +1,6 @@
 """Effects of amplifier and electrodes: from the commanded voltage u to the film's voltage V (port IN).
 
-electrode_rc      tau V' = u - V                  bleeder         the same, with a tau up and one down
+electrode_rc      tau V' = u - V, or of a share   bleeder         the same, with a tau up and one down
 force_lag         V^2 = F,  tau F' = u^2 - F
 slew_limit        |V'| <= s                      voltage_clip    V = min(max(u, -u_max), u_max)
 dead_zone         V = u - u_0 sgn(u) beyond |u| = u_0, else 0
@@ -58,6 +58,12 @@ DRIVE = (
         "electrode_rc", "one lag", (TAU,), "The electrodes' resistance delays the charging of the film.",
         "tau V' = u - V", kernel=lag(), law=last_lag,
         inverse=lambda p, v, dt: lead(v, dt, p.tau),
+    ),
+    _drive(
+        "electrode_rc", "far part", (TAU, Parameter("share", most=1.0)),
+        "A part of the film is charged late, through the resistance of the electrodes.",
+        "V = u + share (q - u), tau q' = u - q", kernel=lag(),
+        law=lambda p, u, z: u + p.share * (last_lag(p, u, z) - u),
     ),
     _drive(
         "bleeder", "one lag each way",
