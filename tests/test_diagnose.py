@@ -297,6 +297,18 @@ def test_a_planted_feedthrough_is_named_with_its_number(nominal):
 
 
 @pytest.mark.slow
+def test_a_lag_that_a_refit_adds_is_named(nominal):
+    """It is fitted along with every effect, nothing improves the fit beside it, and the gap closed without a name."""
+    planted = replace(nominal, effects=(effect("sensor_lag", "one lag", 0.01),))
+    others = sorted({c.name for c in CATALOGUE} - {"sensor_lag", "drag"})
+    found = pitp.diagnose(nominal, play(planted), refit_nominal=True, exclude=others)
+    assert (found.verdict, found.effects) == ("explained", ("sensor_lag",))
+    assert found.gap.closed_fraction is not None and found.gap.closed_fraction > 0.9
+    (part,) = (p for p in found.parts if p.effect == "sensor_lag")
+    assert part.parameters["tau"]["value"] == pytest.approx(0.01, rel=0.03)
+
+
+@pytest.mark.slow
 def test_out_of_time_the_best_so_far_is_told(nominal):
     planted = replace(nominal, effects=(effect("electrode_rc", "one lag", 0.02),))
     others = sorted({c.name for c in CATALOGUE} - {"electrode_rc", "delay"})

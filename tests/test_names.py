@@ -303,6 +303,8 @@ def test_a_further_name_is_said_only_if_no_other_does_as_well(rival, verdict, sa
     sets = hypothesis(("drag",), 0.5), hypothesis(("drag", "backlash"), 0.3), hypothesis(("drag", "slack"), rival)
     found = decide(searched(*sets), 0.0, 0.0, 6)
     assert (found.verdict, found.said, found.tied) == (verdict, said, {n: () for n in said})
+    few = decide(searched(*sets), 0.0, 0.0, 3)  # then a rival with less than twice the error is not separated
+    assert (few.verdict, few.said) == ("partly", ("drag",))
 
 
 @pytest.mark.usefixtures("no_reference")
@@ -315,19 +317,29 @@ def test_coefficients_that_change_beside_an_effect_are_named_only_where_they_clo
     sets = hypothesis(("drag",), alone), hypothesis((PARAMETERS,), 0.9, labels=(CHANGED,)), both
     found = decide(searched(*sets), 0.0, 0.0, 6)
     assert (found.verdict, found.said) == (verdict, said)
+    # of neither alone is anything known: both close as much
+    assert decide(searched(hypothesis(("slack",), 0.95), both), 0.0, 0.0, 6).said == ("drag",)
+
+
+@pytest.mark.parametrize(("own", "verdict"), [(0.0, "partly"), (0.3, "explained")])
+def test_at_the_nominals_own_error_nothing_is_left_to_a_black_box_model(monkeypatch, own, verdict):
+    """A black-box model that is likely better, but by less than a tenth."""
+    monkeypatch.setattr("pitp_jax.method.diagnose.verdict.reference", lambda *_: hypothesis((), 0.29).evidence)
+    assert decide(searched(hypothesis(("drag",), 0.3), own=own), own, 0.0, 6).verdict == verdict
 
 
 @pytest.mark.usefixtures("no_reference")
 @pytest.mark.parametrize(
-    ("errors", "said"),
+    ("errors", "said", "free"),
     [
-        ({(LAG,): 0.1, (FILTER, FILTER_ZETA): 0.1}, ("sensor_lag",)),
-        ({(DELAY,): 0.2, (LAG,): 0.3, (DELAY, LAG): 0.1}, ("delay", "sensor_lag")),
-        ({("a2",): 0.1}, ("added_mass",)),
-        ({(LAG,): 0.95}, ()),
+        ({(LAG,): 0.1, (FILTER, FILTER_ZETA): 0.1}, ("sensor_lag",), (LAG,)),
+        ({(LAG,): 0.1, (FILTER, FILTER_ZETA): 0.05}, ("sensor_lag",), (FILTER, FILTER_ZETA)),
+        ({(DELAY,): 0.2, (LAG,): 0.3, (DELAY, LAG): 0.1}, ("delay", "sensor_lag"), (DELAY, LAG)),
+        ({("a2",): 0.1}, ("added_mass",), ("a2",)),
+        ({(LAG,): 0.95}, (), ()),
     ],
 )
-def test_what_the_structure_of_a_refit_adds_is_named(errors, said):
+def test_what_the_structure_of_a_refit_adds_is_named(errors, said, free):
     """Nothing improves the fit beside a lag that was fitted along: the lag closed the gap and had no name."""
     own = ("a0", "a1")
     sets = {(): hypothesis((), 1.0)} | {more: hypothesis((), error) for more, error in errors.items()}
@@ -335,11 +347,31 @@ def test_what_the_structure_of_a_refit_adds_is_named(errors, said):
     search.movable, search.library = own, []
     search.linears = [replace(h, fit=replace(h.fit, free=(*own, *more))) for more, h in sets.items()]
     search.base = search.linear = min(search.linears, key=lambda h: h.rms)
-    search.every = {frozenset(): search.base}
+    search.every, beside = {frozenset(): search.base}, hypothesis(("drag",), 0.01).fit
+    search.waiting[frozenset(["drag"])] = beside  # fitted beside a structure without a name: no rival any more
     search.name_structures()
+    assert list(search.waiting.values()) == ([] if said else [beside])
+    search.waiting.clear()
     found = decide(search, 0.0, 0.0, 6)
+    assert not said or found.chosen.fit.free == (*own, *free)
     assert {*found.said} == {*said} and found.verdict == ("explained" if said else "unknown")
     assert search.base.fit.free == (own if said else search.linears[-1].fit.free)
+
+
+@pytest.mark.usefixtures("no_reference")
+@pytest.mark.parametrize("diverged", [False, True])
+def test_a_structure_without_a_part_of_the_nominal_is_no_addition_to_it(diverged):
+    """A plant without a damper: order one has one, and lacks the mass; the nominal's own refit may have diverged."""
+    errors = {("a0", "a2"): 1.0, ("a0", "a1"): 0.5, ("a0", "a2", LAG): 0.1}
+    search = searched(refit=True)
+    search.movable, search.library = ("a0", "a2"), []
+    sets = {free: hypothesis((), error) for free, error in [*errors.items()][diverged:]}
+    search.linears = [replace(h, fit=replace(h.fit, free=free)) for free, h in sets.items()]
+    search.base = search.linear = search.linears[-1]
+    search.every = {frozenset(): search.base}
+    search.name_structures()
+    assert decide(search, 0.0, 0.0, 6).said == ("sensor_lag",)
+    assert search.base is (search.given if diverged else search.every[frozenset()])
 
 
 @pytest.mark.usefixtures("no_reference")

@@ -538,3 +538,28 @@ def test_a_loop_cut_in_motion_keeps_the_force_that_it_was_left_with():
         (run,) = predict(model, [Record("cut", time[: 5000 - first], u[first:], x[first:])])
         assert run.begins == "moving"
         assert np.abs(run.displacement - x[first:])[run.scored].max() < 2e-3 * np.ptp(x)
+
+
+@pytest.mark.parametrize(
+    ("key", "numbers"),
+    [
+        ("charge_leak: one trap", (0.4, 30.0)),
+        ("creep: one branch", (0.5, 20.0)),
+        ("stiffness_drift: settling", (0.3, 20.0)),
+    ],
+)
+def test_what_was_stored_before_a_cut_is_estimated_and_the_clock_is_not(key, numbers):
+    """A store hardly moves over the first samples, but may be far from its equilibrium (kept near: 0.3 to 0.7 %)."""
+    (row,) = [r for r in CATALOGUE if r.key == key]
+    model = linear_model([1e6, 8e3, 1e6 / OMEGA**2], dt=5e-3)
+    model = replace(model, effects=(row(*map(jnp.asarray, numbers)),))
+    time = np.arange(8000) * 5e-3
+    slow, fast, third = (np.sin(2 * np.pi * hz * time) for hz in (0.031, 0.9, 2.3))
+    u = 500 + 400 * fast * slow + 80 * third
+    x = np.asarray(rollout(model, jnp.asarray(u), 5e-3, rest_state(model)))[:, 0] * float(model.scales.state[0])
+    cut = Record("cut", time[5000:], u[5000:], x[5000:])
+    (run,) = predict(model, [cut])
+    assert run.begins == "moving"
+    assert np.abs(run.displacement - cut.displacement)[run.scored].max() < 1e-3 * np.ptp(x)
+    if row.port == "T":
+        assert moving_states(model, [cut], np.array([25.0]))[0, -1] == 25.0

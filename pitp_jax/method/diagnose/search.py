@@ -511,13 +511,15 @@ class Search:
         """
         named: dict[frozenset, Hypothesis] = {}
         for h in self.linears:
-            names = tuple(dict.fromkeys(_ADDED_BY[k] for k in h.fit.free if k not in self.movable))
-            other = named.get(frozenset(names))
-            # a lag and a filter have one name, and the filter one number more
-            if {*h.fit.free} >= {*self.movable} and (other is None or needed(h, other) >= rules.SURE):
-                named[frozenset(names)] = replace(h, fit=h.fit.again(names=names), labels=names)
+            if {*h.fit.free} >= {*self.movable}:
+                names = tuple(dict.fromkeys(_ADDED_BY[k] for k in h.fit.free if k not in self.movable))
+                other = named.get(frozenset(names))
+                # a lag and a filter have one name, and the filter one number more
+                if other is None or needed(h, other) >= rules.SURE:
+                    named[frozenset(names)] = replace(h, fit=h.fit.again(names=names), labels=names)
+        own = named.setdefault(frozenset(), self.given)  # where a refit of the nominal's own structure diverged
         before = self.every, self.base, self.linear
-        self.every, self.base, self.linear = named, named[frozenset()], named[frozenset()]
+        self.every, self.base, self.linear = named, own, own
         if self.best().names:
             self.waiting.clear()
         else:

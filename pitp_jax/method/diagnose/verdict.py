@@ -157,8 +157,8 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
         tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
-    closed = more < rules.SURE and deepest is None and probability(flexible, chosen.evidence) < rules.LIKELY
-    verdict = "explained" if separated and (settled or closed) else "partly"
+    complete = more < rules.SURE and deepest is None and probability(flexible, chosen.evidence) < rules.LIKELY
+    verdict = "explained" if separated and (settled or complete) else "partly"
     return answer(verdict, said, tied, **seen)
 
 
