@@ -150,9 +150,7 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
     """Load the chosen columns in base units and apply the scales; --rate gives the time if no column does."""
     values, chosen = _values(table, chosen, options)
     values, chosen = _registers(values, chosen)
-    count = max(
-        (len(v) for q, c in chosen.items() for v in [values.get(c.place)] if q != "time" and v is not None), default=0
-    )
+    count = max((len(values[c.place]) for q, c in chosen.items() if q != "time" and c.place in values), default=0)
     count = count or len(next(iter(values.values()), ()))
     loaded = {}
     with np.errstate(over="ignore"):  # infinite values are refused later
@@ -244,13 +242,13 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
             )
         loaded["time"] = np.arange(count) / rate
         return choice
-    seen = time[np.isfinite(time)]
+    seen = np.count_nonzero(np.isfinite(time))
     unfit, remedy = "", {"--rate": "RATE"}
-    if len(time) != count and choice.place is not None:
+    if len(time) != count:
         unfit = f"the clock {name!r} has {len(time)} values for {count} samples; give --rate HZ"
-    elif not len(seen) or (len(seen) < 2 and rate is not None):
+    elif not seen or (seen < 2 and rate is not None):
         unfit = f"the clock {name!r} is empty; give --rate HZ"
-    elif len(seen) > 1 and choice.bare:
+    elif seen > 1 and choice.bare:
         unfit, remedy = _unknown_clock(time, name, rate), {"--time-unit": "UNIT"}
     if not unfit:
         return choice

@@ -47,8 +47,7 @@ def hold_sparse(loaded: dict[str, np.ndarray]) -> tuple[dict[str, np.ndarray], n
     if written.sum() < 2 or not (missing > 0.5 or alone >= 0.1) or np.isinf(voltage).any():
         return loaded, None, 1.0
     # the input is unknown before it is first written
-    first = int(np.argmax(written))
-    rows = np.flatnonzero(seen & (np.arange(len(time)) >= first))
+    rows = np.flatnonzero(seen & np.logical_or.accumulate(written))
     held = loaded | {q: values[rows] for q, values in loaded.items()}
     if len(rows) > 1:
         held["voltage"] = _held(time[written], voltage[written], time[rows])

@@ -36,7 +36,7 @@ def keys_in_turn(table: Table, chosen: Sequence[int], time: np.ndarray, signals:
         values, index, counts = np.unique(keys, return_inverse=True, return_counts=True)
         if not 2 <= len(values) <= _MOST_KEYS or counts.min() < _TURNS or not _in_order(index):
             continue
-        within = np.concatenate([np.flatnonzero(index == k) for k in range(len(values))])
+        within = np.argsort(index, kind="stable")
         if (
             _repeats(time)
             and not _repeats(time[index == 0])

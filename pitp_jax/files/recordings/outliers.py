@@ -66,8 +66,8 @@ def mask_faults(displacement: np.ndarray, voltage: np.ndarray) -> Masked:
     drive = voltage[seen]
     off_scale, jumps = _off_scale(y), _jumps(drive)
     # a response to a pulse looks like a spike, so only where the input did not step
-    bad = off_scale | (_spikes(y, step) & ~jumps)
-    runs = _runs(y)
+    bad = off_scale | (_spikes(y, steps, step) & ~jumps)
+    runs = _runs(steps)
     still, clipped = _still_runs(y, drive, runs), np.zeros(len(y), dtype=bool)
     # frequent runs are stiction, which holds a machine at its turning points too: its extreme value is not a limit
     if runs and sum(end - begin for begin, end in still) <= 0.1 * len(y):
@@ -101,11 +101,11 @@ def _jumps(drive: np.ndarray) -> np.ndarray:
     return scipy.ndimage.binary_dilation(far, iterations=_LONGEST_SPIKE + 3) if far.any() else far
 
 
-def _spikes(y: np.ndarray, step: float) -> np.ndarray:
+def _spikes(y: np.ndarray, steps: np.ndarray, step: float) -> np.ndarray:
     """Return where one to three samples lie far from the chord between their neighbours, on one side, shape (T,)."""
     bad = np.zeros(len(y), dtype=bool)
     # a spike starts with a step almost as long as its distance from the chord: few places
-    first = np.flatnonzero(np.abs(np.diff(y[2:])) > (_FAR - 1) * step)
+    first = np.flatnonzero(steps[2:] > (_FAR - 1) * step)
     for run in range(1, _LONGEST_SPIKE + 1):
         at = first[first < len(y) - run - 5]
         # three samples before the run and three after it, for every such place at once
@@ -125,8 +125,9 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
     A laser reads such values without a target.
     """
     bad = np.zeros(len(y), dtype=bool)
-    inner = y[(y > y.min()) & (y < y.max())]
-    if len(inner) and max(inner.min() - y.min(), y.max() - inner.max()) <= np.ptp(inner):
+    least, most = y.min(), y.max()
+    inner = y[(y > least) & (y < most)]
+    if len(inner) and max(inner.min() - least, most - inner.max()) <= np.ptp(inner):
         return bad
     # sorted, and both ends are examined in turn
     values = np.unique(y)
@@ -147,12 +148,11 @@ def _off_scale(y: np.ndarray) -> np.ndarray:
     return bad
 
 
-def _runs(y: np.ndarray) -> list[tuple[int, int]]:
+def _runs(steps: np.ndarray) -> list[tuple[int, int]]:
     """Return the first and one past the last sample index of every stretch of equal values longer than a spike."""
-    # where a run of equal values starts, and one past the last
-    edges = np.flatnonzero(np.append(True, np.append(y[1:] != y[:-1], True)))
-    long = np.flatnonzero(np.diff(edges) > _LONGEST_SPIKE)
-    return [(int(edges[k]), int(edges[k + 1])) for k in long]
+    # the first and the last sample of every stretch without a step
+    ends = np.flatnonzero(np.diff(steps == 0, prepend=False, append=False)).reshape(-1, 2)
+    return [(first, last + 1) for first, last in ends[ends[:, 1] - ends[:, 0] >= _LONGEST_SPIKE].tolist()]
 
 
 def _is_quiet(y: np.ndarray, steps: np.ndarray) -> bool:

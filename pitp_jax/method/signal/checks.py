@@ -197,9 +197,10 @@ def line(index: np.ndarray, time: np.ndarray) -> tuple[float, float]:
         index: k, shape (T,).
         time: in s, shape (T,).
     """
-    k, t = index - index.mean(), time - time.mean()
+    middle, mean = index.mean(), time.mean()
+    k, t = index - middle, time - mean
     b = float(np.sum(k * t) / np.sum(k * k))
-    return float(time.mean() - b * index.mean()), b
+    return mean - b * middle, b
 
 
 def _grid_offset(time: np.ndarray) -> np.ndarray:
@@ -210,7 +211,7 @@ def _grid_offset(time: np.ndarray) -> np.ndarray:
     """
     index, dt = np.arange(len(time)), np.ptp(time) / (len(time) - 1)
     off = (time - time[0]) / dt - index
-    most = float(np.abs(off).max())
+    most = max(off.max(), -off.min())
     if most > TIME_TOLERANCE:
         tilt = index / len(time)
         # the ends of the best line are at most as far from this one

@@ -46,12 +46,12 @@ def tables(path: Path, options: ReadOptions) -> Parts:
 def _sheet(path: Path, rows: list[tuple], title: str, options: ReadOptions) -> list[Table]:
     """Return every way to read the rows of one sheet as a table: as those of a text separated by tabs."""
     filled = [row for row in rows if any(cell is not None for cell in row)]
-    check_columns(max(map(len, filled), default=0))
+    width = max(map(len, filled), default=0)
+    check_columns(width)
     last = [cell for row in filled[-200:] for cell in row if cell is not None]
     # most numbers are stored as texts with a decimal comma
     commas = 2 * sum(isinstance(c, str) and is_number(c.strip(), ",") for c in last) > len(last)
     decimal = options.decimal or ("," if commas else ".")
-    width = max(map(len, filled), default=0)
     lines = ["\t".join(_shown(cell, decimal) for cell in (*row, *[None] * (width - len(row)))) for row in rows]
     data = "\n".join(line if line.strip() else "" for line in lines).rstrip("\n").encode()
     plain = replace(options, separator="\t", decimal=decimal, encoding="utf-8")

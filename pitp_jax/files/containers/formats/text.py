@@ -36,9 +36,10 @@ COMMENTS = ("#", "%", "//", "!")
 _ENCODINGS = ("cp1252", "cp932", "gb18030", "cp1251", "euc_kr", "big5", "cp1253", "latin-1")
 _SEPARATORS = {"\t": "tabs", ";": "';'", ",": "','", "|": "'|'", " ": "blanks"}
 _HEAD, _LINES, _LONGEST = 1 << 18, 200, 1 << 16  # bytes, lines that are not comments; bytes of one line
+_Body = tuple[bytes, int]  # a text, and where its rows of numbers start
 _MARKS = tuple(mark.encode() for mark in COMMENTS)
 _QUOTED_MARK = re.compile(r'\s*"[#%!/]+"\s*[,;\t|]')  # a cell of its own: the name of a counter
-_NO_ROW = np.frombuffer(b"\n " + b"".join(mark[:1] for mark in _MARKS), dtype=np.uint8)  # a line that may be none
+_NO_ROW = b"\n " + b"".join(mark[:1] for mark in _MARKS)  # a line that starts with one may be none
 # a cell that is a list of numbers
 _LIST = re.compile(rb'(?<![^\s,;|"])"?\[(\s*+[-+\d.][-+\d.eE,\s]{0,65536}+)\]"?(?![^\s,;|])')
 _ITEMS = re.compile(rb"[^\s,]+")
@@ -80,7 +81,7 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
         lines, made = [data[a:b].decode(encoding) for a, b, _ in spans], []
         for layout in _layouts(lines, [n for _, _, n in spans], options):
             start = spans[layout.first][0]
-            body = _body(data, start, layout)
+            body = _body((data, start), layout)
             if options.decimal is None:
                 layout = _with_decimal(body, layout)
             table = _table(path, read, data[:start], body, layout, encoding, form)
@@ -113,18 +114,18 @@ def single_column(path: Path) -> Table | None:
     return Table(path, (Column(cleaned(name)),), lambda places: [values for _ in places], place, "text of one column")
 
 
-def _with_decimal(body: bytes, layout: Layout) -> Layout:
+def _with_decimal(body: _Body, layout: Layout) -> Layout:
     """Return the layout with the decimal mark that the rows of numbers show.
 
     Raises:
         Refused: every comma may separate thousands.
     """
-    if layout.separator == "," or b"," not in body:
+    if layout.separator == "," or not _has(body, b","):
         return layout
     if layout.decimal == ".":
-        comma = _DECIMAL.search(body) and not re.search(rb"\d\.\d", body)
+        comma = _DECIMAL.search(*body) and not re.compile(rb"\d\.\d").search(*body)
         return replace(layout, decimal=",") if comma else layout
-    if not _DECIMAL.search(body):
+    if not _DECIMAL.search(*body):
         raise Refused(
             "every comma has three digits after it, so it may be a decimal or a thousands separator",
             {"--decimal": ","},
@@ -132,9 +133,9 @@ def _with_decimal(body: bytes, layout: Layout) -> Layout:
     return layout
 
 
-def _table(path: Path, read, head: bytes, body: bytes, layout: Layout, encoding: str, form: str) -> Table:
+def _table(path: Path, read, head: bytes, body: _Body, layout: Layout, encoding: str, form: str) -> Table:
     above = head.count(b"\n")
-    check_count(_count(body, "\n"))
+    check_count(int(np.count_nonzero(_codes(body) == ord("\n"))))
 
     def place(sample: int) -> str:
         return f"sample {sample} (line {_line_of(read(), sample, above)})"
@@ -181,8 +182,8 @@ def plain_text(path: Path) -> bytes:
         data = _unlisted(data)
     if _ARROW.match(data):  # a serial monitor's prefix of every line
         data = data.replace(b" -> ", b",")
-    codes = np.frombuffer(data, dtype=np.uint8)
     # below a tab, a vertical tab, or 14 to 31, because differences wrap around
+    codes = np.frombuffer(data, dtype=np.uint8)
     if codes.min(initial=9) < 9 or b"\v" in data or (codes - 14).min(initial=18) < 18:
         bad = next(re.finditer(rb"[^\t\n\f -\xff]", data)).start()
         line = 1 + data.count(b"\n", 0, bad)
@@ -279,7 +280,7 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions) -> list
     marked = _durations(cells, decimal)
     rows = Rows(cells, numbers, commented)
     made = layouts(rows, separator, decimal, options.header_line, options.units_line)
-    return [_with_durations(layout, marked) for layout in made] if marked else made
+    return [_with_durations(layout, marked) for layout in made]
 
 
 def _recut(
@@ -318,8 +319,8 @@ def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
         if 2 * len(units) > len(column) and len(set(units)) == 1:
             marked[k] = units[0]
             for row in cells:
-                if k < len(row):
-                    row[k] = row[k].removesuffix(units[0]).strip() if _DURATION.match(row[k]) else row[k]
+                if k < len(row) and _DURATION.match(row[k]):
+                    row[k] = row[k].removesuffix(units[0]).strip()
     return marked
 
 
@@ -392,50 +393,58 @@ def _is_row(line: bytes) -> bool:
     return bool(line.strip()) and not line.startswith(_MARKS)
 
 
-def _count(text: bytes, mark: str) -> int:
-    """Return how often a character occurs; faster than `bytes.count`, which stops at each."""
-    return int(np.count_nonzero(np.frombuffer(text, dtype=np.uint8) == ord(mark)))
+def _has(body: _Body, marks: bytes) -> bool:
+    """Return whether one of these characters occurs."""
+    return any(body[0].find(mark, body[1]) >= 0 for mark in marks)
 
 
-def _filled(body: bytes) -> bytes:
+def _codes(body: _Body) -> np.ndarray:
+    """Return the characters of a body as bytes without the last line end, shape (N,); nothing is copied."""
+    text, start = body
+    return np.frombuffer(text, dtype=np.uint8)[start : len(text) - text.endswith(b"\n")]
+
+
+def _filled(body: _Body) -> _Body:
     """Drop comment lines and blank lines."""
-    codes = np.frombuffer(body, dtype=np.uint8)
-    if np.isin(codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1], _NO_ROW).any():
-        return b"\n".join(line for line in body.split(b"\n") if _is_row(line))
+    codes = _codes(body)
+    if np.isin(codes[np.flatnonzero(codes[:-1] == ord("\n")) + 1], list(_NO_ROW)).any():
+        return b"\n".join(line for line in codes.tobytes().split(b"\n") if _is_row(line)), 0
     return body
 
 
-def _body(data: bytes, start: int, layout: Layout) -> bytes:
+def _body(body: _Body, layout: Layout) -> _Body:
     """Return the rows of numbers without comment lines and without empty rows at their end; blank lines may remain."""
-    body, empty = data[start : len(data) - data.endswith(b"\n")], b"\n \t\f" + layout.separator.encode()
-    if any(mark[:1] in body for mark in _MARKS):
+    if _has(body, _NO_ROW[2:]):
         body = _filled(body)
-    if body[body.rfind(b"\n") + 1 :].strip(empty):
+    (text, start), empty = body, b"\n \t\f" + layout.separator.encode()
+    if text[text.rfind(b"\n", 0, -1) + 1 :].strip(empty):
         return body
     # rows of separators alone, which a spreadsheet leaves below its data
-    return body[: body.find(b"\n", len(body.rstrip(empty)))]  # an empty last cell belongs to its row
+    return text[: text.find(b"\n", len(text.rstrip(empty)))], start  # an empty last cell belongs to its row
 
 
-def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
+def _parse(body: _Body, layout: Layout, places: Sequence[int], encoding: str) -> list[np.ndarray] | None:
     """Load columns with the C parser; return None if only row-by-row reading can explain or read the text."""
     import pandas as pd
 
     # quotes around numbers only slow the parser down
-    if b'"' in body:
-        body = body.replace(b'"', b"")
+    if _has(body, b'"'):
+        body = _codes(body).tobytes().replace(b'"', b""), 0
     forms = {k: layout.columns[k].form for k in places}
     if "duration" in forms.values():
         return None
+    stream = io.BytesIO(body[0])  # shares the text
+    stream.seek(body[1])
     try:
         frame = pd.read_csv(
-            io.BytesIO(body), header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
+            stream, header=None, names=range(layout.width), usecols=sorted(set(places)), engine="c",
             sep=r"\s+" if layout.separator == " " else layout.separator, decimal=layout.decimal, encoding=encoding,
             dtype={k: str if form == "stamp" else np.float64 for k, form in forms.items()}, index_col=False,
-            skip_blank_lines=False, skipinitialspace=b" " in body or b"\t" in body,
+            skip_blank_lines=False, skipinitialspace=_has(body, b" \t"),
         )  # fmt: skip
         last = frame.get(layout.width - 1)
         # the C parser fills short rows silently: none is short where the last column is whole
-        marks = _count(body, layout.separator) == len(frame) * (layout.width - 1)
+        marks = np.count_nonzero(_codes(body) == ord(layout.separator)) == len(frame) * (layout.width - 1)
         if not (last is not None and marks and last.notna().all()) and not _rectangular(body, layout):
             return None
         return [seconds(list(frame[k])) if forms[k] == "stamp" else frame[k].to_numpy(np.float64) for k in places]
@@ -443,25 +452,24 @@ def _parse(body: bytes, layout: Layout, places: Sequence[int], encoding: str) ->
         return None
 
 
-def _rectangular(body: bytes, layout: Layout) -> bool:
+def _rectangular(body: _Body, layout: Layout) -> bool:
     """Return whether every row has the same number of cells as the layout."""
     # counted in bytes, because the C parser fills short rows silently
-    codes = np.frombuffer(body, dtype=np.uint8)
+    codes = _codes(body)
     ends = np.append(np.flatnonzero(codes == ord("\n")), len(codes))
     if layout.separator == " ":
         blank = np.isin(codes, (9, 10, 32))
         marks, each = np.flatnonzero(~blank & np.append(True, blank[:-1])), layout.width
     else:
         marks, each = np.flatnonzero(codes == ord(layout.separator)), layout.width - 1
-    if len(marks) != len(ends) * each:
-        return False
     # the marks of row k lie between the ends of rows k - 1 and k
-    marks = marks.reshape(-1, each)
-    return bool(np.all(marks[:, -1] < ends) and np.all(marks[1:, 0] > ends[:-1]))
+    return len(marks) == len(ends) * each and bool(
+        np.all(marks[each - 1 :: each] < ends) and np.all(marks[each::each] > ends[:-1])
+    )
 
 
-def _split(body: bytes, layout: Layout, encoding: str) -> Iterator[list[str]]:
-    lines = body.decode(encoding, errors="replace").split("\n")
+def _split(body: _Body, layout: Layout, encoding: str) -> Iterator[list[str]]:
+    lines = _codes(body).tobytes().decode(encoding, errors="replace").split("\n")
     return (cells_of(line, layout.separator) for line in lines)
 
 
