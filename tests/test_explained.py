@@ -5,6 +5,9 @@ import pytest
 from scipy.signal import lsim
 
 import pitp_jax as pitp
+from pitp_jax.method.identify.explained import is_noise
+from pitp_jax.method.identify.heldout import Candidate, HeldOut
+from pitp_jax.method.identify.output_error import Problem, Structure
 
 TIME = np.arange(1200) / 100
 
@@ -55,3 +58,20 @@ def test_a_coefficient_below_its_error_is_not_identifiable(other):
     fit = _identified(_moved(_levels(0)) + other * _moved(_levels(1)), _levels(0)).chosen
     assert fit.poles_known
     assert fit.identifiable == bool((fit.stderr < np.abs(fit.coefficients)).all()) == (other == 0)
+
+
+@pytest.mark.parametrize(("fraction", "noisy"), [(0.45, False), (0.55, True)])
+def test_an_output_is_noise_beyond_half_of_its_deviation(fraction, noisy):
+    """Two records of a slow sine in white noise; one in three samples of the second was not measured."""
+    rng, phase = np.random.default_rng(2), np.linspace(0, 6 * np.pi, 6000)
+    motion = np.sqrt(2 * (1 - fraction**2)) * np.sin(phase)
+    outputs = tuple(size * (motion + fraction * rng.standard_normal(6000)) for size in (1.0, 3.0))
+    weights = np.ones(6000), (np.arange(6000) < 4000).astype(float)
+    problem = Problem(outputs, outputs, weights, (), (), square=False, dt=1e-3, scale=1.0, omega=10.0, fine=1e-3)
+    assert is_noise(problem) == noisy
+
+
+@pytest.mark.parametrize(("error", "score"), [(0.0, 1e-3), (1e-3, np.sqrt(2e-6)), (0.3, 0.3)])
+def test_a_held_out_error_counts_a_thousandth_at_least(error, score):
+    found = Candidate(Structure(1), np.zeros(1), 0.0, True, HeldOut(error, (), ()), True)
+    assert found.score == pytest.approx(score, rel=1e-5)

@@ -118,6 +118,17 @@ def test_a_memory_starts_with_the_stiffness_and_the_mass_of_the_set_below_it():
         np.testing.assert_allclose(f.slots[:3] * [1 + kappa, 1, 1], slots[:3], rtol=1e-12)
 
 
+def test_a_feedthrough_starts_at_a_twentieth_of_the_range_on_either_side():
+    """What the sensor reads of the highest voltage, by the law of the form."""
+    begun: dict = {}
+    for form in forms(SCALE):
+        if form.spec is not None and form.spec.name == "feedthrough":
+            (d,) = form.start.values()
+            read = cast(Any, form.spec).crosses(SimpleNamespace(d=d), [SCALE.voltage])
+            begun.setdefault(form.spec.form, []).append(read / SCALE.reach)
+    assert begun == {key: [pytest.approx(0.05), pytest.approx(-0.05)] for key in ("of the force", "of the input")}
+
+
 def test_starts_of_all_forms_take_turns():
     """The second start of the worse form is tried before the third start of the better form."""
     forms_of = [("a0", "a1"), ("a0", "a1"), ("a2",), ("a0", "a1"), ("a2",), ("a1", "a0")]

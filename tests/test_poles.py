@@ -111,6 +111,14 @@ def test_a_pole_at_zero_against_scipy(logs):
     assert np.abs(free - columns @ np.linalg.lstsq(columns, free, rcond=None)[0]).max() < 1e-9
 
 
+@pytest.mark.parametrize(("apart", "moved"), [(1.3e-5, False), (0.8e-5, True)])
+def test_two_poles_are_separated_within_a_hundred_thousandth(apart, moved):
+    """(s^2 + 4 s + 3)(s + 1 + apart): its roots, or the third away from the second."""
+    found = np.sort(np.real(poles(np.log([4.0, 3.0, 1 + apart]))))
+    np.testing.assert_allclose(found, [-3, -1 - apart, -1], rtol=0, atol=2e-4 if moved else 1e-9)
+    assert np.diff(found).min() > 1e-5
+
+
 def test_two_poles_at_one_place():
     """(s + 1)^2: partial fractions do not exist, and the response is right nevertheless."""
     drive = np.random.default_rng(0).standard_normal(60)

@@ -62,6 +62,27 @@ def test_an_error_is_told_at_the_harmonic_it_has(case, order, name):
     assert locate(case, errors)["harmonics"][name] > 0.95
 
 
+def test_noise_has_no_fraction_of_the_harmonics(case):
+    """White noise of the stated deviation, and a line at twice the frequency with the same energy."""
+    errors, k, size = nowhere(case), index(case, "sine3"), 0.1
+    noise = size * np.random.default_rng(5).standard_normal(SAMPLES)
+    errors[k] = size * np.sqrt(2) * np.sin(2 * np.pi * 7.2 * TIME) + noise
+    noisy = [replace(m, noise=size * (place == k)) for place, m in enumerate(case.motions)]
+    assert locate(case._replace(motions=tuple(noisy)), errors)["harmonics"]["2f"] > 0.9
+
+
+@pytest.mark.parametrize(("hz", "passed"), [(15.0, 1.0), (30.0, 0.5), (60.0, 0.0)])
+def test_motions_are_filtered_at_six_times_the_resonance(linear, hz, passed):
+    """A zero-phase filter halves a sine at its cut-off, 30 Hz for a resonance of 5 Hz."""
+    nominal = nominal_of(linear)
+    built = build_case(nominal, play(nominal, noise=0.0))
+    sine = np.sin(2 * np.pi * hz * TIME)
+    series = tuple(replace(s, output=sine) for s in built.series)
+    (state, *_) = motions(replace(built, series=series), Search(built, False).scale).motions
+    inner = slice(300, -300)
+    assert np.ptp(state.states[inner, 0]) / np.ptp(sine[inner]) == pytest.approx(passed, abs=0.05)
+
+
 def test_a_missing_force_is_told_where_the_actuator_was(case):
     """Put in beyond eight tenths of the range of x: in the two last bins of ten, and in cells of large motions."""
     low, high = (np.quantile(np.concatenate([s.states[:, 0] for s in case.motions]), q) for q in (0.001, 0.999))
