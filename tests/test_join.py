@@ -76,6 +76,17 @@ def test_rows_that_do_not_belong_together_are_refused(tmp_path):
         read(tmp_path / "u.csv", join=[tmp_path / "none.csv"])
 
 
+def test_a_column_alone_leaves_cells_out_as_in_a_table(tmp_path):
+    """A word for a missing sample, and an exponent of Fortran, are what they are in a file of two columns."""
+    time, motion = np.arange(100) / 100, [f"{np.sin(k / 9):.6f}" for k in range(100)]
+    motion[7], motion[8] = "NA", "1.5D-1"
+    (tmp_path / "x.csv").write_text("\n".join(["laser_mm", *motion]), encoding="utf-8")
+    (tmp_path / "u.csv").write_text("\n".join(["time_s,voltage_V", *(f"{t},{t**2}" for t in time)]), encoding="utf-8")
+    (record,) = read(tmp_path / "u.csv", join=tmp_path / "x.csv")
+    truth = [np.nan if k == 7 else 0.15 if k == 8 else np.sin(k / 9) for k in range(100)]
+    np.testing.assert_allclose(record.displacement, np.array(truth) / 1e3, rtol=0, atol=1e-9)
+
+
 def test_a_target_of_two_files(tmp_path):
     single_columns(tmp_path)
     target = read_target(tmp_path / "time.csv", join=[tmp_path / "disp.csv"])

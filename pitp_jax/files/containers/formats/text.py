@@ -95,7 +95,7 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
 def single_column(path: Path) -> Table | None:
     """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
     try:
-        lines = [line.strip().strip('"') for line in plain_text(path).decode("utf-8").split("\n")]
+        lines = [line.strip().strip('"') for line in plain_text(path).decode().split("\n")]
     except (BadInput, UnicodeError):
         return None
     numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
@@ -106,12 +106,15 @@ def single_column(path: Path) -> Table | None:
     cells = [lines[k] for k in numbers]
     if len(cells) < 2 or not all(is_number(cell, decimal) for cell in cells):
         return None
-    values = np.array([float(cell.replace(",", ".")) for cell in cells])
+    layout = Layout("", decimal, (Column(cleaned(name)),), 0, 1)
 
     def place(k: int) -> str:
         return f"sample {k} (line {numbers[k] + 1})"
 
-    return Table(path, (Column(cleaned(name)),), lambda places: [values for _ in places], place, "text of one column")
+    return Table(
+        path, layout.columns, lambda places: [numbers_of(cells, layout, k, place) for k in places], place,
+        "text of one column"
+    )  # fmt: skip
 
 
 def _with_decimal(body: _Body, layout: Layout) -> Layout:
