@@ -58,12 +58,12 @@ FIRST = {"method/effects": ("effect_equations",)}
 ROOMS = {
     "method/numerics": (),
     "method/model": ("encoder", "rows", "decode", "file"),
-    "method/effects": ("effect_equations", "effects", "inverse_effects"),
+    "method/effects": ("effect_equations", "effects", "inverse_effects", "names"),
     "method/simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
     "method/invert": ("inverse", "limits", "trim", "inverse_effects"),
-    "method/identify": ("poles", "frequency_response", "rest", "identify"),
+    "method/identify": ("explained", "poles", "frequency_response", "rest", "identify"),
     "method/train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
-    "method/diagnose": ("evidence", "simulator", "fits", "usable", "diagnose"),
+    "method/diagnose": ("names", "evidence", "simulator", "fits", "usable", "diagnose"),
 }
 
 
