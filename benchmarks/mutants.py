@@ -61,8 +61,8 @@ ROOMS = {
     "method/effects": ("effect_equations", "effects", "inverse_effects", "names"),
     "method/simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
     "method/invert": ("inverse", "limits", "trim", "inverse_effects"),
-    "method/identify": ("explained", "poles", "frequency_response", "rest", "identify"),
-    "method/train": ("residual", "free_runs", "sensitivity", "slow", "refine", "train"),
+    "method/identify": ("explained", "poles", "remarks", "frequency_response", "rest", "identify"),
+    "method/train": ("residual", "functional", "free_runs", "sensitivity", "slow", "refine", "train"),
     "method/diagnose": ("names", "evidence", "simulator", "fits", "usable", "diagnose"),
 }
 

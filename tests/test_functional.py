@@ -11,7 +11,7 @@ import numpy as np
 import optax
 import pytest
 from jax.sharding import PartitionSpec
-from scipy.signal import lsim
+from scipy.signal import butter, lsim, sosfiltfilt
 from typed import untyped
 
 import pitp_jax as pitp
@@ -257,6 +257,15 @@ def test_the_residual_is_the_trainings(plain, shake):
     total, _ = eqx.filter_jit(loss)(model, equation, box, width=0.05, penalty=(0.1, 0.1))
     assert float(pitp.residual_loss(model, u, x, box=box)) == pytest.approx(float(total), rel=0.02)
     assert float(pitp.residual_loss(model, u, x)) < float(total)
+
+
+def test_the_force_is_filtered_as_by_scipy_forwards_and_backwards(plain):
+    """Of an actuator held at 0 the filtered force remains: a Butterworth of order 4 at 40 Hz, on three sines."""
+    force = sum(np.sin(2 * np.pi * hz * TIME + hz) for hz in (10.0, 40.0, 50.0)) + 4.0
+    unit = np.asarray(pitp.residual(plain, np.full(600, 100.0), np.zeros(600)))[300]  # of 100 V, not filtered
+    found = pitp.residual(plain, 100 * np.sqrt(force), np.zeros(600), cutoff_hz=40.0)
+    truth = sosfiltfilt(butter(4, 40.0, output="sos", fs=1 / DT), force)
+    np.testing.assert_allclose(found[150:-150] / unit, truth[150:-150], rtol=0, atol=2e-3)
 
 
 def functions():
