@@ -19,6 +19,7 @@ from pitp_jax.method.model.drive import ElectrodeLag
 from pitp_jax.method.model.encoder import CompactEncoder
 from pitp_jax.method.model.memory import FadingMemory
 from pitp_jax.method.signal.record import Record
+from pitp_jax.method.simulate import prediction
 from pitp_jax.method.simulate.decoder import at_rest, rest_state, rollout, rollout_batch
 from pitp_jax.method.simulate.prediction import predict
 from pitp_jax.method.train import refine as refining
@@ -236,8 +237,8 @@ def test_a_record_at_rest_by_the_nominal_is_fitted_from_rest(plant):
     cut = Record("cut", TIME[:-200], record.voltage[200:], record.displacement[200:])
     memory = FadingMemory(jnp.zeros(2, jnp.float32))
     data = build_dataset(nominal, [record, cut], scaling="rms", difference="stencil", memory=lambda states: memory)
-    assert data.rest == (True, False)
-    (own,), (given,) = (refining._free(nominal, [cut], rest) for rest in ((), (True,)))
+    assert [b.begins for b in data.begun] == ["rest", "moving"]
+    (own,), (given,) = (refining._free(nominal, [cut], known) for known in ((), data.begun[:1]))
     assert np.abs(own.start).max() > 0.1 and not np.asarray(own.weight[0, :20]).any()
     np.testing.assert_array_equal(given.start, 0)
     assert np.asarray(given.weight[0]).all()
@@ -277,6 +278,14 @@ def test_the_score_is_the_error_on_held_out_blocks(plant, start):
     squares = [np.mean((p.displacement - r.displacement)[g] ** 2) for p, r, g in zip(runs, shifted, gone, strict=True)]
     assert HeldOut(shifted).score(start[0]) == pytest.approx(np.mean(np.log(squares)), rel=1e-6)
     assert HeldOut(shifted).score(start[0]) > held_out.score(start[0]) + 1
+
+
+def test_a_score_estimates_no_start_of_a_record_at_rest(plant, start, monkeypatch):
+    """The score from the nominal's starts equals that of estimated ones, and asks only for those in motion."""
+    held_out, data = HeldOut(plant[1]), start[1]
+    estimated = held_out.score(start[0])
+    monkeypatch.setattr(prediction, "beginnings", None)
+    assert HeldOut(plant[1], data.begun).score(start[0]) == pytest.approx(estimated, rel=1e-6)
 
 
 @pytest.mark.parametrize(("kept", "steps"), [(0.992, 5), (0.988, 20)])

@@ -17,9 +17,8 @@ _HALF, _BETA = 8, 8.0  # taps on either side, and beta of their Kaiser window
 def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractions"]:
     """Return the weights of the neighbouring samples for a voltage at fractions of a sample after sample t."""
     f = np.asarray(fractions, np.float64)[None]
-    if hold == "zoh":
-        return np.concatenate([np.ones_like(f), np.zeros_like(f)])
-    if hold == "foh":
+    if hold != "bandlimited":
+        f = f * (hold == "foh")  # a held voltage is that of the sample before
         return np.concatenate([1 - f, f])
     away = f - np.arange(1 - _HALF, _HALF + 1)[:, None]
     inside = np.clip(
@@ -30,13 +29,13 @@ def weights(hold: str, fractions: np.ndarray) -> Float[np.ndarray, "taps fractio
 
 
 def between(voltage, hold: str, fractions: np.ndarray, xp):
-    """Interpolate a voltage (time,) at every fraction of a sample after each sample, (time, fractions).
+    """Interpolate voltages (..., time) at every fraction of a sample after each sample, (..., time, fractions).
 
-    Beyond its ends the voltage is constant. `xp` is the array's module: numpy or jax.numpy.
+    Beyond its ends a voltage is constant. `xp` is the array's module: numpy or jax.numpy.
     """
     taps = weights(hold, fractions)
     half = len(taps) // 2
     # an amplifier holds its first and last value; padding with zeros would ring into the record
-    padded = xp.concatenate([voltage[:1].repeat(half - 1), voltage, voltage[-1:].repeat(half)])
-    frame = xp.stack([padded[k : k + len(voltage)] for k in range(2 * half)], -1)
+    padded = xp.pad(voltage, [(0, 0)] * (voltage.ndim - 1) + [(half - 1, half)], "edge")
+    frame = xp.stack([padded[..., k : k + voltage.shape[-1]] for k in range(2 * half)], -1)
     return frame @ xp.asarray(taps, voltage.dtype)

@@ -139,7 +139,7 @@ def model_runs(
     """Compute the scaled states and the sensor's scaled readings of all records, from rest or from other states."""
     models, start = models_of(model), np.asarray(start, np.float64)
     first, film = models[0], film_of(models, np.asarray(voltage, np.float64), dt, start)
-    stages = np.stack([between(v, first.hold, stage_fractions(first), np) for v in film])
+    stages = between(film, first.hold, stage_fractions(first), np)
     outputs = runs_of(sample, models, start, stages, dt)
     return outputs[..., :-1], outputs[..., -1]
 

@@ -26,9 +26,8 @@ from ..signal.record import Record
 from ..signal.sets import alike, check_set, session_clock
 from . import ports
 from .beginnings import beginnings
-from .decoder import rest_state
 from .model_runs import evaluate, model_runs
-from .moving_start import initial_samples
+from .moving_start import initial_samples, still
 
 _SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
 FAR = 1e4  # a run beyond this scaled displacement has diverged
@@ -106,16 +105,23 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
     """
     refuse_traced("predict", "free_run", model)
     fitted = fitted_of(model)
-    model = fitted.model
     check_set(records)
-    model = at_rate(model, records[0].dt)
+    return tuple(_beside_trained(fitted, *both) for both in zip(records, simulate(fitted.model, records), strict=True))
+
+
+def simulate(model: Model, records: Sequence[Record], known: Sequence[Beginning] = ()) -> list[Prediction]:
+    """Simulate the model under the voltage of every record, without a comparison of the inputs; `known` as `begin`."""
+    model, runs = at_rate(model, records[0].dt), {}
     # initial states over the whole set, because a session's clock and reach span all lengths
-    runs, starts = {}, list(zip(*begin(model, records, session_clock(records)), strict=True))
+    start, spent, begun = begin(model, records, known=known)
     # by length; otherwise one long record would pad all others
     for places in alike(records):
-        some = _predicted(model, [records[k] for k in places], [starts[k] for k in places])
-        runs.update(zip(places, some, strict=True))
-    return tuple(_beside_trained(fitted, record, runs[k]) for k, record in enumerate(records))
+        size = max(records[k].samples for k in places)
+        voltage = np.stack([np.pad(v := records[k].voltage, (0, size - len(v)), mode="edge") for k in places])
+        found = model_runs(model, voltage, records[0].dt, np.asarray(start)[places])
+        for k, states, seen in zip(places, *found, strict=True):
+            runs[k] = _prediction(model, records[k], states, seen, spent[k], begun[k])
+    return [runs[k] for k in range(len(records))]
 
 
 def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Prediction:
@@ -125,32 +131,21 @@ def _beside_trained(model: Fitted, record: Record, run: Prediction) -> Predictio
     return replace(run, outside_training_share=share, not_excited=untrained_words(model, "input", part))
 
 
-def _predicted(model: Model, records: Sequence[Record], starts: Sequence[tuple]) -> list[Prediction]:
-    """Predict records that are padded to one length; `starts`: the result of `begin` for every record."""
-    size = max(r.samples for r in records)
-    voltage = np.stack([np.pad(r.voltage, (0, size - r.samples), mode="edge") for r in records])
-    start, spent, begun = zip(*starts, strict=True)
-    runs = model_runs(model, voltage, records[0].dt, np.stack(start))
-    return [
-        _prediction(model, r, states, seen, n, b)
-        for r, states, seen, n, b in zip(records, *runs, spent, begun, strict=True)
-    ]
-
-
 def begin(
-    model: Model, records: Sequence[Record], aged: bool | None = None, rest: Sequence[bool] = ()
+    model: Model, records: Sequence[Record], aged: bool | None = None, known: Sequence[Beginning] = ()
 ) -> tuple[Float[Array, "records state"], tuple[int, ...], list[Beginning]]:
     """Return the initial states, the samples used for each, and how each record starts, with offset and direction.
 
-    `rest`: per record, whether it is known to begin at rest, with the model's offset and direction.
+    `known`: per record, how it begins by another model with this sensor; one at rest is not estimated again.
     """
     aged = session_clock(records) if aged is None else aged
-    ages = [model.domain.age(r.time[0]) if aged else 0.0 for r in records]
-    begun, starts = beginnings(model, records, ages)
-    for k in np.flatnonzero(rest):
-        if begun[k].begins != "rest":
-            known = {"zero": model.output.offset, "direction": model.output.polarity}
-            begun[k], starts[k] = replace(begun[k], begins="rest", **known), rest_state(model, ages[k])
+    ages = np.array([model.domain.age(r.time[0]) if aged else 0.0 for r in records])
+    unknown = [k for k in range(len(records)) if not known or known[k].begins != "rest"]
+    begun, starts = dict(enumerate(known)), evaluate(still, model, 0.0, 0.0, ages)
+    if unknown:
+        found, starts[unknown] = beginnings(model, [records[k] for k in unknown], ages[unknown].tolist())
+        begun |= zip(unknown, found, strict=True)
+    begun = [begun[k] for k in range(len(records))]
     spent = tuple(initial_samples(model, r) if b.begins == "moving" else 0 for r, b in zip(records, begun, strict=True))
     if aged and model.effects:
         # stretch by earlier records of the session remains (Mullins)

@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from ...common.errors import BadInput
 from ..model.model import Model, Scales
+from ..signal.initial_state import Beginning
 from ..signal.preprocess import StateRecord, cutoff, force_band, preprocess
 from ..signal.record import Record
 from ..simulate.prediction import begin
@@ -29,7 +30,7 @@ class Dataset:
         features: per record the scaled state and memory at every sample, shape (T, n + K).
         valid: per record, True where the filtered state is valid, shape (T,).
         region: lowest and highest value of every feature over valid samples.
-        rest: per record, whether it begins at rest by the nominal.
+        begun: per record, how it begins by the nominal.
     """
 
     model: Model
@@ -37,7 +38,7 @@ class Dataset:
     features: tuple[np.ndarray, ...]
     valid: tuple[np.ndarray, ...]
     region: Float[np.ndarray, "features 2"]
-    rest: tuple[bool, ...]
+    begun: list[Beginning]
 
 
 def build_dataset(
@@ -78,11 +79,11 @@ def build_dataset(
     model = eqx.tree_at(lambda m: m.memory, model, memory(states))
     scale = model.scales.state
     features, equation = [], []
-    rest = tuple(b.begins == "rest" for b in begin(nominal, records)[2])
-    for s, still in zip(states, rest, strict=True):
+    begun = begin(nominal, records)[2]
+    for s, b in zip(states, begun, strict=True):
         x = s.states / scale
         # the past of a record that starts moving is unknown: assume it was held at its first position
-        start = model.memory.initial(jnp.asarray(0.0 if still else x[0, 0], jnp.float32))
+        start = model.memory.initial(jnp.asarray(0.0 if b.begins == "rest" else x[0, 0], jnp.float32))
         past = model.memory.trajectory(jnp.asarray(x[:, 0], jnp.float32), dt, start)
         features.append(np.concatenate([x[:, :-1], np.asarray(past)], -1).astype(np.float32))
         equation.append((features[-1][s.valid], x[s.valid], s.force[s.valid] / model.scales.force))
@@ -91,7 +92,7 @@ def build_dataset(
     everything = np.concatenate([f[s.valid] for f, s in zip(features, states, strict=True)])
     weight = jnp.asarray(spread_weights(everything[:, : nominal.order]), jnp.float32)
     data = EquationData(*flat, weight=weight)
-    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region_of(everything), rest)
+    return Dataset(model, data, tuple(features), tuple(s.valid for s in states), region_of(everything), begun)
 
 
 def region_of(*rows: np.ndarray) -> Float[np.ndarray, "features 2"]:

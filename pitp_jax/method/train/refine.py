@@ -41,7 +41,7 @@ from ..signal.sets import alike
 from ..simulate import ports
 from ..simulate.beginnings import with_zero_at_rest
 from ..simulate.decoder import still_state
-from ..simulate.prediction import begin, predict
+from ..simulate.prediction import begin, simulate
 from .creep_balance import SlowBalance
 from .dataset import Dataset
 
@@ -59,6 +59,7 @@ class HeldOut:
     """A third of every record, in three blocks, never the first, and the score of a model on them."""
 
     records: Sequence[Record]
+    begun: Sequence[Beginning] = ()  # by the nominal
 
     @property
     def rest(self) -> list[Record]:
@@ -69,7 +70,7 @@ class HeldOut:
     def score(self, model: Model) -> float:
         """Return the mean logarithm over records of the squared error on held-out blocks, none below the noise."""
         logs = []
-        for k, (r, run) in enumerate(zip(self.records, predict(model, self.rest), strict=True)):
+        for k, (r, run) in enumerate(zip(self.records, simulate(model, self.rest, self.begun), strict=True)):
             seen = _held(r, k) & r.observed & run.scored
             error = float(np.mean((run.displacement - r.displacement)[seen] ** 2)) if seen.any() else 0.0
             least, most = max(noise_std(r.displacement), 1e-6 * r.span), _DIVERGED * r.span
@@ -123,20 +124,20 @@ def refine(
             yield stepped, entry
         periods, stage = _LONGER * periods, "longer runs"
         # a fit of windows is useless if whole records drift away from it
-        windows = 2 * periods < longest and _miss(model, _free(model, rest, data.rest), how) > max(
+        windows = 2 * periods < longest and _miss(model, _free(model, rest, data.begun), how) > max(
             _NEAR, _WORSE * _miss(model, runs, how)
         )
-    free = _free(model, rest, data.rest)
-    first = best = _nearest(model, free, how)
-    scores = [held_out.score(first)]
-    for stepped, entry in _descend(first, free, count, "partial runs", how):
+    free = _free(model, rest, data.begun)
+    best = _nearest(model, free, how)
+    scores = [held_out.score(best)]
+    for stepped, entry in _descend(best, free, count, "partial runs", how):
         scores.append(held_out.score(stepped))
         if scores[-1] == min(scores):
             best = stepped
         yield best, {**entry, "held_out": min(scores)}
         if _is_flat(scores):
             break
-    free = _free(best, records, data.rest)
+    free = _free(best, records, data.begun)
     for stepped, entry in _descend(best, free, count, "free runs", how):
         yield stepped, {**entry, "held_out": min(scores)}
 
@@ -267,7 +268,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
     return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
 
 
-def _free(model: Model, records: Sequence[Record], rest: Sequence[bool] = ()) -> tuple[Runs, ...]:
+def _free(model: Model, records: Sequence[Record], known: Sequence[Beginning] = ()) -> tuple[Runs, ...]:
     """Prepare all records for simulation; beyond the budget, some whole and the beginnings of the others.
 
     A record that begins at rest by the nominal model does so in every fit: a half-trained model fits another start
@@ -288,7 +289,7 @@ def _free(model: Model, records: Sequence[Record], rest: Sequence[bool] = ()) ->
             [size, min(size, max(BUDGET // 2 // len(sets[1]), _SHORTEST))],
             [0.5 / len(some) for some in sets],
         )
-    start, spent, begun = begin(model, records, rest=rest)
+    start, spent, begun = begin(model, records, known=known)
     begins = list(zip(start, spent, with_zero_at_rest(begun), strict=True))
     return tuple(
         _from_the_start(model, [records[k] for k in some], [begins[k] for k in some], samples, part * each[some])

@@ -235,7 +235,7 @@ def _attempts(
         yield model, np.inf, entry
     if model is None or not settings.refine_steps:
         return
-    held_out, best, model = HeldOut(records), None, with_parts(model, nominal, settings)
+    held_out, best, model = HeldOut(records, data.begun), None, with_parts(model, nominal, settings)
     plain = held_out.score(_bare(model, nominal, data, settings))
     start = 0
     for start in range(1, settings.starts + 1):
@@ -287,7 +287,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             # a half cosine down to a twentieth, so that the noise of minibatches settles within a stage
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder != "paper" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
-            box_rate = jnp.asarray(box, jnp.float32), jnp.asarray(rate, jnp.float32)
+            box_rate = map(np.float32, (box, rate))
             params, state, (physics, constraint) = _epoch(
                 params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
             )
@@ -343,7 +343,7 @@ def _region(model: Model, data: Dataset, slow: SlowBalance | None, dt: float) ->
     n, seen = model.order, [slow.features(model)] if slow else []
     for features, valid in zip(data.features, data.valid, strict=True):
         # free runs changed the time constants, and with them the memories
-        past = np.asarray(model.memory.trajectory(jnp.asarray(features[:, 0]), dt, jnp.asarray(features[0, n:])))
+        past = model.memory.trajectory(jnp.asarray(features[:, 0]), dt, jnp.asarray(features[0, n:]))
         seen.append(np.concatenate([features[:, :n], past], -1)[valid])
     return region_of(*seen)
 
