@@ -8,6 +8,8 @@ from scipy.signal import chirp, lsim
 
 from pitp_jax import Record
 from pitp_jax.common.errors import ComputationFailed
+from pitp_jax.method.identify import identification
+from pitp_jax.method.identify.beginnings import find_beginnings
 from pitp_jax.method.identify.frequency_response import FrequencyResponse
 from pitp_jax.method.identify.identification import _better, identify
 from pitp_jax.method.identify.linear_ode import mode
@@ -78,6 +80,16 @@ def test_the_input_map_is_the_one_that_leaves_clearly_less(drive):
     assert given.remarks[0].startswith("With --input-map linear, ") and "was chosen" not in given.remarks[0]
     squared = replace(record([1.0], MODE, drive**2), voltage=drive, displacement_unit="m")
     assert identify([squared], order=2).model.input_map.name == "square"
+
+
+def test_another_map_that_is_no_better_is_not_described(monkeypatch):
+    """Noise of a fifth of the motion makes the other map a candidate; its remarks could not be reported."""
+    squared = replace(record([1.0], MODE, SWEEP**2, noise=0.2), voltage=SWEEP, displacement_unit="m")
+    maps, told = [], identification.remarks
+    monkeypatch.setattr(identification, "find_beginnings", lambda r, m: maps.append(m) or find_beginnings(r, m))
+    monkeypatch.setattr(identification, "remarks", lambda *a, **k: maps.append("told") or told(*a, **k))
+    assert identify([squared], order=2).model.input_map.name == "square"
+    assert maps == ["square", "told", "linear"]
 
 
 def test_no_plant_is_unstable_that_is_stable_with_the_other_map():

@@ -170,13 +170,18 @@ def identify(
     usual = input_map or usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
     how = {"order": order, "hold": hold, "learn": learn, "leave_out": leave_out, "progress": progress}
     first = _attempted(records, usual, **how)
-    if isinstance(first, ComputationFailed) and order != "auto":  # another map adds no excitation
+    left = np.inf
+    if isinstance(first, Identification):
+        if first.chosen.heldout <= _USELESS:
+            return first
+        # a plant is called unstable only if it is so with the other map, however good that is
+        left = np.inf if UNSTABLE in str(first.remarks) else first.chosen.heldout
+    elif order != "auto":  # another map adds no excitation
         raise first
-    if isinstance(first, Identification) and first.chosen.heldout <= _USELESS:
-        return first
     name = next(n for n in INPUT_MAPS if n != usual)
     tested = usual == "square" or input_map is None
-    other = _attempted(records, name, **{**how, "progress": lambda _: None}) if tested else first
+    how |= {"progress": lambda _: None, "below": _CLEARLY * left}
+    other = _attempted(records, name, **how) if tested else first
     return _better(first, other, name, given=input_map is not None)
 
 
@@ -214,9 +219,9 @@ def _better(first, other, name: str, *, given: bool) -> Identification:
 
 def _identified(
     records: Sequence[Record], input_map: str, order: int | str, hold: Hold | None, learn: Sequence[str],
-    leave_out: Sequence[str], progress: Callable[[str], None],
+    leave_out: Sequence[str], progress: Callable[[str], None], below: float = np.inf,
 ) -> Identification:  # fmt: skip
-    """Identify under one input map, as `identify` describes it."""
+    """Identify under one input map, as `identify` describes it; fail where the held-out error is not `below` (%)."""
     begun, roots, misfit = find_beginnings(records, input_map)
     # samples a period: a cubic through n of them is off by 3 / 128 (2 pi / n)^4, a tenth of a linear model's residual
     finest = 2 * np.pi * (3 / 128 / (0.1 * max(misfit, 1e-6))) ** 0.25
@@ -230,6 +235,8 @@ def _identified(
     if not fit.poles_known:
         why = (unstable_line(chosen, small) or _NONE) if order == "auto" else refusal(fit, whole)
         raise ComputationFailed(why)
+    if fit.heldout > below:
+        raise ComputationFailed("the other input map is as good")
     begun = _coloured(records, begun, fit, chosen.on(whole))
     whole = replace(whole, beginnings=tuple(begun))
     fit, error = describe(chosen, whole), chosen.on(whole)

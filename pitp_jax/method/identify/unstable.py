@@ -31,7 +31,7 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
     """
     best = None
     for order in (1, 2, 3):
-        for pair in (False, True)[: 1 + (order > 1)]:
+        for pair in {False, order > 1}:
             start = min(_starts(order, pair, problem), key=lambda p: float(np.sum(_residual(p, pair, problem) ** 2)))
             fit = least_squares(_residual, start, args=(pair, problem), x_scale=0.5, max_nfev=20)
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
@@ -53,10 +53,9 @@ def _starts(order: int, pair: bool, problem: Problem) -> Iterator[np.ndarray]:
 
 def _poles(params: Sequence[float] | np.ndarray, pair: bool) -> np.ndarray:
     """Return the poles (rad/s) of the parameters, the unstable pole or pair first."""
-    sizes = np.exp(np.asarray(params))
-    if not pair:
-        return np.append(sizes[0], -sizes[1:]).astype(complex)
-    return np.concatenate([[sizes[0] + 1j * sizes[1], sizes[0] - 1j * sizes[1]], -sizes[2:]])
+    sizes = np.exp(params)
+    turn = sizes[1] * np.array([1j, -1j]) if pair else np.zeros(1, complex)
+    return np.append(sizes[0] + turn, -sizes[1 + pair :])
 
 
 def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
@@ -64,6 +63,6 @@ def _residual(params, pair: bool, problem: Problem) -> np.ndarray:
     parts = []
     for force, output, weight in zip(problem.forces, problem.output, problem.weight, strict=True):
         run, free = bounded_response(_poles(params, pair) * problem.dt, force - force.mean())
-        rows = weight * np.vstack([run / (np.abs(run).max() + 1e-300), np.ones(len(run)), free.T])
+        rows = weight * np.vstack([run, np.ones_like(run), free.T])
         parts.append(project(weight * output, rows.T)[1])
     return np.concatenate(parts) / np.sqrt(problem.samples)
