@@ -197,6 +197,16 @@ def test_a_hardening_spring_is_a_polynomial(make):
         assert float(cubic(jnp.zeros(6).at[0].set(x))[0]) == pytest.approx(0.25 * x**2, rel=1e-6)
 
 
+def test_only_hidden_layers_draw_numbers():
+    """Weight and bias of three hidden layers; an output layer of zeros would compile four more programs."""
+    traced = jax.make_jaxpr(lambda key: jax.tree.leaves(CompactEncoder(2, MEMORIES, width=4, key=key))[0])(KEY)
+    encoder = CompactEncoder(2, MEMORIES, width=4, key=KEY)
+    assert sum(e.params.get("name") == "_uniform" for e in traced.eqns) == 6
+    assert not np.asarray(encoder.spring.readout.weight).any()
+    given = eqx.nn.Linear(1, 4, key=jax.random.split(jax.random.split(KEY, 3)[0])[0])
+    np.testing.assert_array_equal(encoder.spring.hidden.weight, given.weight)
+
+
 def test_dropout_needs_a_key(make):
     _, encoder = make("paper", 2)
     f = jnp.ones(6)

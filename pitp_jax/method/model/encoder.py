@@ -83,7 +83,7 @@ class _Net(eqx.Module):
         # the hidden layer is random, because with zeros in both no gradient would reach either
         first, second = jax.random.split(key)
         self.hidden = _linear(features, width, key=first)
-        self.readout = _zero(_linear(width, outputs, key=second))
+        self.readout = _zero(width, outputs, second)
 
     def __call__(self, features):
         return self.readout(jnp.tanh(self.hidden(features)))
@@ -330,13 +330,13 @@ class _Branches(eqx.Module):
         self.branches = one(jax.random.split(keys[0], features))
         self.fusion = _linear(features * width, width, key=keys[1])
         self.enhance = [_linear(width, width, key=k) for k in keys[2:-1]]
-        self.readout = _zero(_linear(width, 1, key=keys[-1]))
+        self.readout = _zero(width, 1, keys[-1])
         self.dropout = eqx.nn.Dropout(dropout)
 
     def __call__(self, features, key):
         keys = [None] * len(self.enhance) if key is None else jax.random.split(key, len(self.enhance))
         branch = eqx.filter_vmap(lambda layer, x: jax.nn.relu(layer(x[None])))
-        h = jax.nn.relu(self.fusion(branch(self.branches, features).reshape(-1)))
+        h = jax.nn.relu(self.fusion(branch(self.branches, features).ravel()))
         for layer, k in zip(self.enhance, keys, strict=True):
             h = self.dropout(jax.nn.relu(layer(h)), key=k, inference=k is None)
         return self.readout(h)[0]
@@ -354,7 +354,7 @@ class PaperEncoder(AbstractEncoder):
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant, shape (n + 2,); the logit of the offset token is always zero."""
-        count = self.networks.readout.weight.shape[0]
+        count = len(self.networks.readout.weight)
         if key is None:  # no dropout without a key, because a rollout must not draw random numbers
             logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
         else:
@@ -372,7 +372,7 @@ class PaperEncoder(AbstractEncoder):
             return vmapped(self, features)
 
         def tabulated(*features):
-            logits = logits_by_tables(self.networks, jnp.stack([f.reshape(-1) for f in features]))
+            logits = logits_by_tables(self.networks, jnp.stack([f.ravel() for f in features]))
             return [*logits.reshape(-1, *features[0].shape), jnp.zeros_like(features[0])]
 
         def logits(features: Rows) -> Rows:
@@ -394,5 +394,6 @@ def _linear(features: int, outputs: int, *, key) -> eqx.nn.Linear:
     return eqx.nn.Linear(features, outputs, dtype=jnp.float32, key=key)
 
 
-def _zero(layer: eqx.nn.Linear) -> eqx.nn.Linear:
-    return jax.tree.map(jnp.zeros_like, layer)
+def _zero(features: int, outputs: int, key) -> eqx.nn.Linear:
+    """Build a linear layer of zeros, without a program that draws weights of its shape."""
+    return jax.tree.map(jnp.zeros_like, eqx.filter_eval_shape(_linear, features, outputs, key=key))

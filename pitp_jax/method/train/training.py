@@ -287,7 +287,7 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             # a half cosine down to a twentieth, so that the noise of minibatches settles within a stage
             fade = 0.5 * (1 + np.cos(np.pi * epoch / epochs)) if settings.encoder != "paper" else 1.0
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
-            box_rate = map(np.float32, (box, rate))
+            box_rate = np.asarray(box, np.float32), np.float32(rate)
             params, state, (physics, constraint) = _epoch(
                 params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
             )
@@ -315,10 +315,10 @@ def _in_an_epoch(settings: Settings) -> dict:
 @jit
 def _epoch(params, static, state, model: Model, data, box, rate, key, *, batch: int, width, penalty, dropout: bool):
     """Run one epoch over shuffled minibatches as one compiled scan; an incomplete batch is left out."""
-    count = max(data.force.shape[0] // batch, 1)
-    size = min(batch, data.force.shape[0])
+    samples = len(data.force)
+    count, size = max(samples // batch, 1), min(batch, samples)
     shuffle, drop = jax.random.split(key)
-    order = jax.random.permutation(shuffle, data.force.shape[0])[: count * size].reshape(count, size)
+    order = jax.random.permutation(shuffle, samples)[: count * size].reshape(count, size)
 
     def objective(p, some, k):
         here = replace(model, encoder=eqx.combine(p, static))
