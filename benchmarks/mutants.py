@@ -58,7 +58,7 @@ FIRST = {"method/effects": ("effect_equations",)}
 ROOMS = {
     "method/numerics": (),
     "method/model": ("encoder", "rows", "decode", "file"),
-    "method/effects": ("effect_equations", "effects", "inverse_effects", "names"),
+    "method/effects": ("effect_equations", "names", "effects", "inverse_effects"),
     "method/simulate": ("decode", "rows", "rollout_fast", "effect_equations"),
     "method/invert": ("inverse", "limits", "trim", "inverse_effects"),
     "method/identify": ("explained", "poles", "remarks", "frequency_response", "rest", "identify"),
