@@ -150,7 +150,7 @@ def test_a_number_stays_within_what_was_reached():
         ("sensor_lag", "delay", 0.11, ("delay", "force_lag")),
         ("sensor_lag", "delay", 0.2, ("force_lag",)),
         # input and reading of any plant may be late by the same time
-        ("delay", "sensor_lag", 0.2, ("sensor_lag",)),
+        ("delay", "sensor_lag", 0.2, ("sensor_lag", "force_lag")),
     ],
 )
 def test_a_lag_is_tied_with_a_delay_unless_the_band_separates_them(no_reference, name, twin, left, tied):
@@ -170,6 +170,16 @@ def test_a_lag_of_the_sensor_is_tied_with_one_of_the_force_unless_this_fits_wors
     assert found.tied["sensor_lag"] == tied and separable(search, found, "sensor_lag") == ()
     cast(Any, search.case).simulator.square = False  # a linear input has no square to be late behind
     assert decide(search, 0.0, 0.0, 9).tied["sensor_lag"] == ()
+
+
+@pytest.mark.parametrize(("electrode", "verdict_"), [(0.1, "unknown"), (0.2, "explained")])
+def test_more_than_three_names_for_one_effect_are_no_name(no_reference, electrode, verdict_):
+    """Two weak lags of a force were a delay tied with two others, because the lag of the force was not asked."""
+    rival = hypothesis(("electrode",), electrode, labels=("electrode_rc",))
+    found = decide(searched(hypothesis(("delay",), 0.1), hypothesis(("sensor_lag",), 0.2), rival), 0.0, 0.0, 9)
+    assert found.verdict == verdict_
+    assert found.tied == ({"delay": ("sensor_lag", "force_lag")} if verdict_ == "explained" else {})
+    assert found.reason.endswith("delay from electrode_rc, sensor_lag, force_lag.") == (verdict_ == "unknown")
 
 
 @pytest.mark.parametrize(("flexible", "verdict_"), [(0.2, "unknown"), (0.5, "partly")])

@@ -152,9 +152,13 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
             twins = tuple(t for t in twins if not _beats_twin(search, chosen, name, t))
         if search.refit and label not in LONE:
             twins = ()
-        twins = (*twins, *_hidden_twins(search, chosen, name, label))
+        others = dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label)))
+        others |= dict.fromkeys(t for n in (label, *others) for t in _hidden_twins(search, chosen, name, n))
+        if len(others) >= rules.TIED:
+            reason = f"These recordings do not separate {label} from {', '.join(others)}."
+            return answer("unknown", reason=reason, rivals=(label, next(iter(others))), **seen)
         said.append(label)
-        tied[label] = tuple(dict.fromkeys((*equal, *twins, *_other_names(search, chosen, name, label))))
+        tied[label] = tuple(others)
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
     complete = more < rules.SURE and deepest is None and probability(flexible, chosen.evidence) < rules.LIKELY
@@ -229,7 +233,7 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, twin: str) -> boo
 
 
 def _hidden_twins(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:
-    """Return the effect that the search does not add and that fits as well as this one, such as a lag of the force.
+    """Return the twin of `label` that the search does not add, such as a lag of the force, if it fits as well.
 
     Behind the square a linear plant with a lag of its force is the same as with a lag of its sensor.
     """
@@ -243,12 +247,11 @@ def _hidden_twins(search: Search, chosen: Hypothesis, name: str, label: str) -> 
 
 def separable(search: Search, decision: Decision, label: str) -> tuple[str, ...]:
     """Return the effects tied with a reported one that another recording may separate from it."""
-    hidden, excluded = HIDDEN.get(label), set()
+    excluded = {label}
     name = dict(zip(decision.chosen.labels, decision.chosen.names, strict=True)).get(label, label)
     if label in COMMUTING:
-        excluded = {t for t in TWINS[label] if _beats_twin(search, decision.chosen, name, t)}
-    if hidden is not None:
-        excluded.add(hidden.name)
+        excluded |= {t for t in TWINS[label] if _beats_twin(search, decision.chosen, name, t)}
+    excluded |= {HIDDEN[n].name for n in excluded if n in HIDDEN}
     return tuple(other for other in decision.tied.get(label, ()) if other not in excluded)
 
 
