@@ -385,6 +385,8 @@ def test_of_two_machines_nothing_is_handed_back(nominal):
     found = pitp.diagnose(nominal, played, exclude=FEW)
     assert (found.verdict, found.effects, found.handed_back) == ("unknown", (), ())
     assert "Separate linear models" in found.reason
+    refitted = pitp.diagnose(nominal, played, refit_nominal=True, exclude=FEW)  # which an unknown verdict also tries
+    assert f"With --refit-nominal: {verdict_lines(refitted)[0]} {result_line(refitted)}" in found.notes
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """The order of a search: what is refitted without folds, and what its first steps must not drop."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,6 +14,7 @@ from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
+from pitp_jax.method.diagnose.gap import gap_of, out_of_fold
 from pitp_jax.method.diagnose.library import EARLY, INDEX, LAG, MONITOR, NAMES, Form, slots_of_row
 from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax.method.diagnose.verdict import Decision
@@ -145,6 +147,29 @@ def test_a_part_more_is_handed_back_where_it_predicts_a_tenth_better(second, kep
     bare = search.base.evidence
     decision = Decision("unknown", search.base, (), {}, {}, {}, bare, bare, 0.0)
     assert handing_back._largest(search, decision).names == kept
+
+
+@pytest.mark.parametrize(("returned", "before", "closed"), [((), 1.0, 0.0), (("spring",), 0.5, 0.6)])
+def test_a_gap_is_that_of_what_is_handed_back(returned, before, closed):
+    """A refit halves the error and is not handed back: the error remains, and -100 % was closed."""
+    search = sized({(): [0.5] * 4, ("spring",): [0.2] * 4})
+    rows = [np.full(SAMPLES, 1.0)] * 4
+    search.given = Hypothesis(fit_of(), (), rows, evidence(rows, np.zeros(4)))
+    search.case.series = [SimpleNamespace(span=100.0)] * 4
+    handed = search.every[frozenset(returned)] if returned else search.given
+    decision = Decision("unknown", search.base, (), {}, {}, {}, search.given.evidence, search.base.evidence, 0.0)
+    found = gap_of(search, decision, out_of_fold(search, handed), 0.0, "")
+    assert (found.before, found.closed_fraction) == pytest.approx((before, closed))
+    assert found.explainable == pytest.approx(0.2)
+
+
+def test_the_best_start_of_every_form_takes_its_first_steps():
+    """Of eleven springs the right one came fifth by its first step."""
+    search = bare_search()
+    starts = [replace(fit_of("spring"), free=(NAMES[n % 6],)) for n in range(12)]
+    search.fitter = SimpleNamespace(foreseen=lambda fits, fronts: range(len(fits)))
+    (kept,) = search._foremost({frozenset(["spring"]): starts}, {id(f): f for f in starts}, 3).values()
+    assert kept == starts[:6]
 
 
 RC, LOW_PASS = "electrode_rc: one lag, tau", {MONITOR: 0.02}

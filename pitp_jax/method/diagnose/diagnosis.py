@@ -46,6 +46,7 @@ from .term import term_of
 from .traces import traces_of
 from .verdict import Decision, decide, rival_without, separable
 from .where import locate, motions, nowhere
+from .words import result_line, verdict_lines
 
 T = TypeVar("T")
 
@@ -173,6 +174,9 @@ def diagnose(
         *limit.notes(),
         *failed,
     )
+    if decision.verdict == "unknown" and refit == "no" and limit.allows("the same with a refitted nominal model"):
+        limit.begin("the same with a refitted nominal model")
+        notes += attempt("the refit", lambda: _if_refitted(model, records, exclude, limit), ())
     raw = _raw(search)
     return Diagnosis(
         verdict=decision.verdict,
@@ -202,6 +206,12 @@ def diagnose(
         input_lag=fault.lag,
         interrupted=interrupted,
     )
+
+
+def _if_refitted(model: Model, records: Sequence[Record], exclude: Sequence[str], limit: Budget) -> tuple[str, ...]:
+    """Return what a diagnosis with a refitted nominal answers: its coefficients may be what no effect explains."""
+    d = diagnose(model, records, refit_nominal=True, exclude=exclude, seconds=limit.remaining, progress=limit.progress)
+    return (f"With --refit-nominal: {verdict_lines(d)[0]} {result_line(d)}",)
 
 
 def _searched_without_fault(

@@ -47,7 +47,8 @@ class Errors:
     """Residuals of the given model, the model without effects, and the returned model, on the same samples.
 
     Attributes:
-        given, base, handed: of the given nominal, of the linear model without effects, of the returned model.
+        given, base, handed: of the given nominal, of the linear model without effects (of the given nominal if that is
+            returned), of the returned model.
         spans: range of every record, scaled.
     """
 
@@ -59,7 +60,9 @@ class Errors:
 
 def out_of_fold(search: Search, handed: Hypothesis) -> Errors:
     """Return the three models' errors on the searched records, each predicted by a fit without that record."""
-    return Errors(search.given.evidence, search.base.evidence, handed.evidence, spans(search))
+    # a refit that is not handed back leaves the given nominal, and -97 % was closed
+    base = search.given if handed is search.given else search.base
+    return Errors(search.given.evidence, base.evidence, handed.evidence, spans(search))
 
 
 def gap_of(search: Search, decision: Decision, errors: Errors, own: float, source: str) -> Gap:
@@ -74,7 +77,7 @@ def gap_of(search: Search, decision: Decision, errors: Errors, own: float, sourc
     before, after, given = (percent(e, errors.spans) for e in (errors.base, errors.handed, errors.given))
     # over all that was tried, with or without effects: the smallest error of any hypothesis
     least = min(min(h.evidence.score for h in search.every.values()), decision.bar.score)
-    room = before * float(np.exp((least - search.base.evidence.score) / 2))
+    room = before * float(np.exp((least - errors.base.score) / 2))
     ci95 = interval(errors.base, errors.handed, errors.spans, low)
     return Gap(
         before, after, given, low if low > 0 else None, source, closed(before, after, low), ci95, min(room, before)
