@@ -56,7 +56,7 @@ def diagnose(
         against: recordings of a simulator, paired by their commands; another rate and another clock are fine.
         position_gain: Kp of the simulator's position controller (N m/rad, N/m), which turns ratios into torques.
         refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
-            if the nominal was made from these recordings.
+            if the nominal was made from these recordings, and for a note where no effect of the frozen one is certain.
         exclude: effects left out of the catalogue.
         seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.

@@ -90,7 +90,8 @@ def diagnose(
         model: an identified linear model or a trained one.
         records: of one actuator, one sampling rate, best of several kinds of excitation.
         refit_nominal: fit the nominal's coefficients too, because it was identified on records with the effect. None:
-            if the nominal was made from these recordings (by their checksums in its lineage).
+            if the nominal was made from these recordings (by their checksums in its lineage), and for a note where no
+            effect of the frozen nominal is certain.
         exclude: effects left out of the catalogue.
         seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
@@ -113,14 +114,13 @@ def diagnose(
         raise BadInput("a diagnosis runs in one process; give a mesh that holds only jax.local_devices()")
     automatic = refit_nominal is None and was_made_from(model, records)
     refit = "automatic" if automatic else "asked" if refit_nominal else "no"
-    refit_nominal = refit != "no"
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
     runs = own_error(model, records)
-    if not refit_nominal and (early := answered(model, records, runs, notes)) is not None:
+    if refit == "no" and (early := answered(model, records, runs, notes)) is not None:
         return early
-    outcome, fault, records = _searched_without_fault(model, records, refit_nominal, exclude, limit)
+    outcome, fault, records = _searched_without_fault(model, records, refit != "no", exclude, limit)
     notes = (*fault.remarks(records[0].dt), *notes)
     search, before, interrupted = outcome.search, outcome.before, outcome.interrupted
     case, own, source = search.case, outcome.own, outcome.source
@@ -174,8 +174,9 @@ def diagnose(
         *limit.notes(),
         *failed,
     )
-    if decision.verdict == "unknown" and refit == "no" and limit.allows("the same with a refitted nominal model"):
-        limit.begin("the same with a refitted nominal model")
+    what = "the same with a refitted nominal model"
+    if decision.verdict == "unknown" and refit == "no" and refit_nominal is None and limit.allows(what):
+        limit.begin(what)
         notes += attempt("the refit", lambda: _if_refitted(model, records, exclude, limit), ())
     raw = _raw(search)
     return Diagnosis(
