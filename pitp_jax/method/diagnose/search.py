@@ -403,10 +403,10 @@ class Search:
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
         kept = {}
-        for key, group in list(ranked.items())[:most]:
+        for key, starts in list(ranked.items())[:most]:
             # the best start of each form: of eleven springs, the right one came fifth and closed 99 % more
-            first = {frozenset(f.free) - {*below[id(f)].free}: f for f in reversed(group)}
-            rest = [f for f in _varied(group) if not any(f is g for g in first.values())]
+            first = {frozenset(f.free) - {*below[id(f)].free}: f for f in reversed(starts)}
+            rest = [f for f in _varied(starts) if not any(f is g for g in first.values())]
             kept[key] = [*first.values(), *rest][: max(_STARTS, len(first))]
         return kept
 
