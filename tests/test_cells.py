@@ -98,3 +98,12 @@ def test_degrees_celsius_beside_a_heater(tmp_path):
     assert (record.voltage_unit, record.displacement_unit) == ("percent", "degC")
     np.testing.assert_allclose(record.displacement, 20 + np.cos(TIME))
     np.testing.assert_allclose(record.time, TIME)
+
+
+def test_cells_that_carry_their_unit_are_numbers_in_it(tmp_path):
+    time, volts, millimetres = np.arange(200) / 100, np.sin(np.arange(200) / 9), 0.3 * np.sin(np.arange(200) / 9 - 0.2)
+    rows = (f"{1e3 * t:.0f} ms,{v:.6f} kV,{y:.6f} mm" for t, v, y in zip(time, volts, millimetres, strict=True))
+    (tmp_path / "a.csv").write_text("\n".join(["time,voltage,displacement", *rows]))
+    (record,) = read(tmp_path / "a.csv")
+    for mine, true in ((record.time, time), (record.voltage, 1e3 * volts), (record.displacement, 1e-3 * millimetres)):
+        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-6 * np.ptp(true))
