@@ -17,6 +17,7 @@ import pitp_jax as pitp
 from pitp_jax.application.pages.diagnosis.page import report
 from pitp_jax.method.diagnose import diagnosis, handing_back
 from pitp_jax.method.diagnose.own_error import own_error
+from pitp_jax.method.diagnose.words import result_line, verdict_lines
 from pitp_jax.method.effects import CATALOGUE, lookup
 from pitp_jax.method.effects.found_term import TERM
 from pitp_jax.method.model.fitted import Fitted, model_of
