@@ -1,6 +1,5 @@
 """The order of a search: what is refitted without folds, and what its first steps must not drop."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -16,7 +15,7 @@ from pitp_jax.method.diagnose.evidence import evidence
 from pitp_jax.method.diagnose.fit import Fit
 from pitp_jax.method.diagnose.gap import gap_of, out_of_fold
 from pitp_jax.method.diagnose.library import EARLY, INDEX, LAG, MONITOR, NAMES, Form, slots_of_row
-from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search, _distinct
+from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search
 from pitp_jax.method.diagnose.verdict import Decision
 from pitp_jax.method.effects import lookup
 
@@ -161,23 +160,6 @@ def test_a_gap_is_that_of_what_is_handed_back(returned, before, closed):
     found = gap_of(search, decision, out_of_fold(search, handed), 0.0, "")
     assert (found.before, found.closed_fraction) == pytest.approx((before, closed))
     assert found.explainable == pytest.approx(0.2)
-
-
-def test_the_best_start_of_every_form_takes_its_first_steps():
-    """Of eleven springs the right one came fifth by its first step."""
-    search = bare_search()
-    starts = [replace(fit_of("spring"), free=(NAMES[n % 6],), slots=np.zeros(len(NAMES))) for n in range(12)]
-    search.fitter = SimpleNamespace(foreseen=lambda fits, fronts: range(len(fits)))
-    (kept,) = search._foremost({frozenset(["spring"]): starts}, {id(f): fit_of() for f in starts}, 3).values()
-    assert {id(f) for f in kept} == {id(f) for f in starts[:6]}
-
-
-def test_one_result_counts_once():
-    """A delay that a fit leaves at zero took the place of another form of friction."""
-    plain, late = (replace(fit_of("friction", cost=1.0), free=NAMES[:n], slots=np.zeros(len(NAMES))) for n in (1, 2))
-    other = replace(plain, cost=2.0)
-    kept = _distinct([late, plain, other])
-    assert kept[0] is plain and kept[1] is other and len(kept) == 2
 
 
 RC, LOW_PASS = "electrode_rc: one lag, tau", {MONITOR: 0.02}

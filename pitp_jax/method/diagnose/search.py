@@ -267,7 +267,7 @@ class Search:
         groups = {
             key: [
                 f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
-                for f in _varied(_distinct([f for f in g if np.isfinite(f.cost)]))[:2]
+                for f in _varied(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))[:2]
             ]
             for key, g in groups.items()
         }
@@ -402,13 +402,7 @@ class Search:
         ranked: dict[frozenset, list[Fit]] = {}
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
-        kept = {}
-        for key, starts in list(ranked.items())[:most]:
-            # the best start of each form: of eleven springs, the right one came fifth and closed 99 % more
-            first = {frozenset(f.free) - {*below[id(f)].free}: f for f in reversed(starts)}
-            rest = [f for f in _varied(starts) if not any(f is g for g in first.values())]
-            kept[key] = [*first.values(), *rest][: max(_STARTS, len(first))]
-        return kept
+        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -650,9 +644,9 @@ def _varied(fits: Sequence[Fit]) -> list[Fit]:
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
-    """Remove fits that converged to the same result, such as one with a delay of zero; keep the plainer of two."""
+    """Remove fits that converged to the same result."""
     kept: list[Fit] = []
-    for f in sorted(fits, key=lambda f: len(f.free)):
-        if not any(abs(f.cost - g.cost) < 1e-4 * abs(g.cost) for g in kept):
+    for f in fits:
+        if not any(set(f.free) == set(g.free) and abs(f.cost - g.cost) < 1e-4 * abs(g.cost) for g in kept):
             kept.append(f)
-    return sorted(kept, key=lambda f: f.cost)
+    return kept
