@@ -74,7 +74,7 @@ TRIED = {
     "runs without the equation error before them 5.3 %. In the run of the other rows (6744fe49) `fit` called its "
     "recording moving, and the test had 23 mm: since then a recording that begins at rest by the nominal model does so "
     "in the whole training, which that error prompted. The diagnosed model has 3.7 mm.",
-    "tanks": "Tried: `fit` 30 %; with 100 and 1000 times the prior on the time constants of the memories 32 and "
+    "tanks": "Tried: `fit` 31 %; with 100 and 1000 times the prior on the time constants of the memories 32 and "
     "35 %; without memories 32 %; starts estimated again after each fit 68 %. The diagnosis is certain of no effect. "
     "A likely reason: its root acts from x = 0 on, and no recording shows where that is. The linear model puts it at "
     "a level of -6.3 V, from where the root of the outflow is almost a line. A root that starts with the slope of the "
