@@ -391,6 +391,24 @@ def test_of_two_machines_nothing_is_handed_back(nominal):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(
+    ("ends", "told"), [(ValueError, "failed (ValueError"), (KeyboardInterrupt, "(interrupted)"), (None, "")]
+)
+def test_a_refit_that_does_not_end_is_told_and_loses_nothing(nominal, monkeypatch, ends, told):
+    played, refits = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.4, 0.7))], []
+
+    def refitted(*args):
+        refits.append(args)
+        raise ends
+
+    monkeypatch.setattr(diagnosis, "_if_refitted", refitted)
+    found = pitp.diagnose(nominal, played, exclude=FEW, refit_nominal=None if ends else False)
+    assert found.verdict == "unknown" and found.interrupted == (ends is KeyboardInterrupt)
+    assert [told for note in found.notes if f"refit of the nominal model {told}" in note] == [told] * len(refits)
+    assert len(refits) == (ends is not None)
+
+
+@pytest.mark.slow
 def test_moved_damping_is_a_parameter_change(nominal):
     found = pitp.diagnose(nominal, play(nominal.changed(np.array([0.9, 1.3, 1.1]))), exclude=FEW)
     assert found.effects == ("parameter_change",)

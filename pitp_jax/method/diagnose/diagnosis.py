@@ -6,6 +6,7 @@ nominal
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeVar, cast
 
 import numpy as np
@@ -112,8 +113,9 @@ def diagnose(
     model = cast(Model, fitted_of(model))  # a Fitted has the attributes of a Model
     if mesh is not None and mesh.is_multi_process:
         raise BadInput("a diagnosis runs in one process; give a mesh that holds only jax.local_devices()")
-    automatic = refit_nominal is None and was_made_from(model, records)
-    refit = "automatic" if automatic else "asked" if refit_nominal else "no"
+    refit = "asked" if refit_nominal else "no"
+    if refit_nominal is None and was_made_from(model, records):
+        refit = "automatic"
     records, notes = usable(records)
     model = replace(model, domain=replace(model.domain, clock=float(model.domain.clock) or clock_start(records)))
     limit = Budget(seconds, progress=progress)
@@ -151,14 +153,15 @@ def diagnose(
         experiment = attempt("the next experiment", lambda: _experiment(search, decision, limit), None)
     shift = _shift(case, handed.fit, model)
     limit.begin("comparing each part")
+    listed = partial(attempt, "the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
     try:
-        parts = attempt("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+        parts = listed()
     except KeyboardInterrupt:  # rivals not searched are left out; a second interrupt ends the diagnosis
         if interrupted:
             raise
         interrupted = True
         limit.stop("rivals of some parts (interrupted)")
-        parts = attempt("the list of parts", lambda: parts_of(search, decision, handed, made), Parts())
+        parts = listed()
     experiment = experiment or next((p.experiment for p in parts if p.experiment is not None), None)
     term = None
     if FREE in decision.chosen.names:
@@ -166,18 +169,25 @@ def diagnose(
     where = attempt(
         "the place of the gap", lambda: locate(motions(case, search.scale), search.base.residuals), nowhere()
     )
+    told: tuple[str, ...] = ()
+    what = "a refit of the nominal model"
+    if decision.verdict == "unknown" and refit == "no" and refit_nominal is None and limit.allows(what):
+        limit.begin(what)
+        try:
+            told = attempt(what, lambda: _if_refitted(model, records, exclude, limit), ())
+            limit.allows(f"{what} to its end")
+        except KeyboardInterrupt:  # the diagnosis itself is complete
+            interrupted = True
+            limit.stop(f"{what} (interrupted)")
     notes = (
         *notes,
-        *([_REFITTED] if automatic else []),
+        *([_REFITTED] if refit == "automatic" else []),
         *([_IN_PARTS] if len(names) > 1 and (len(names) < FEWEST_FOLDS or case.blocks > 1) else []),
         *([decision.reason] if decision.verdict == "unknown" and decision.reason else []),
+        *told,
         *limit.notes(),
         *failed,
     )
-    what = "the same with a refitted nominal model"
-    if decision.verdict == "unknown" and refit == "no" and refit_nominal is None and limit.allows(what):
-        limit.begin(what)
-        notes += attempt("the refit", lambda: _if_refitted(model, records, exclude, limit), ())
     raw = _raw(search)
     return Diagnosis(
         verdict=decision.verdict,
@@ -212,6 +222,8 @@ def diagnose(
 def _if_refitted(model: Model, records: Sequence[Record], exclude: Sequence[str], limit: Budget) -> tuple[str, ...]:
     """Return what a diagnosis with a refitted nominal answers: its coefficients may be what no effect explains."""
     d = diagnose(model, records, refit_nominal=True, exclude=exclude, seconds=limit.remaining, progress=limit.progress)
+    if d.interrupted:
+        raise KeyboardInterrupt
     return (f"With --refit-nominal: {verdict_lines(d)[0]} {result_line(d)}",)
 
 

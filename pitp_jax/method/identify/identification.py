@@ -175,7 +175,8 @@ def identify(
         if first.chosen.heldout <= _USELESS:
             return first
         # a plant is called unstable only if it is so with the other map, however good that is
-        left = np.inf if UNSTABLE in str(first.remarks) else first.chosen.heldout
+        if UNSTABLE not in str(first.remarks):
+            left = first.chosen.heldout
     elif order != "auto":  # another map adds no excitation
         raise first
     name = next(n for n in INPUT_MAPS if n != usual)
