@@ -4,6 +4,7 @@ import json
 import re
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, cast
 
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from typed import some
 import pitp_jax as pitp
 from pitp_jax.application.pages.diagnosis.page import report
 from pitp_jax.method.diagnose import diagnosis, handing_back
+from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.own_error import own_error
 from pitp_jax.method.diagnose.words import result_line, verdict_lines
 from pitp_jax.method.effects import CATALOGUE, lookup
@@ -406,6 +408,25 @@ def test_a_refit_that_does_not_end_is_told_and_loses_nothing(nominal, monkeypatc
     assert found.verdict == "unknown" and found.interrupted == (ends is KeyboardInterrupt)
     assert [told for note in found.notes if f"refit of the nominal model {told}" in note] == [told] * len(refits)
     assert len(refits) == (ends is not None)
+
+
+def test_a_refit_that_ends_early_has_no_answer(nominal, monkeypatch):
+    monkeypatch.setattr(diagnosis, "diagnose", lambda *args, **how: SimpleNamespace(interrupted=True))
+    with pytest.raises(KeyboardInterrupt):
+        diagnosis._if_refitted(nominal, [], (), Budget())
+
+
+@pytest.mark.slow
+def test_a_refit_that_runs_out_of_time_is_told(nominal, monkeypatch):
+    def late(model, records, exclude, limit):
+        limit.began -= limit.seconds
+        return ("answered so far",)
+
+    played = [play(nominal.changed(np.array([k, 1.0, 1.0])))[n] for n, k in enumerate((1.4, 0.7))]
+    monkeypatch.setattr(diagnosis, "_if_refitted", late)
+    notes = pitp.diagnose(nominal, played, exclude=FEW, seconds=1e6).notes
+    assert "answered so far" in notes
+    assert any("did not try: a refit of the nominal model to its end" in note for note in notes)
 
 
 @pytest.mark.slow
