@@ -97,7 +97,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     command, output = pairs.offsets
     real = [replace(r, voltage=r.voltage - command, displacement=r.displacement - output) for r in real]
     say = options["progress"]
-    free = "; the searches that follow have no limit of time (--seconds sets one)"
+    free = "; the searches that follow have no limit of time"
     say(f"identifying the simulator{free if np.isinf(options['seconds']) else ''}")
     noise = float(np.median([noise_std(r.displacement) for r in real]))
     nominal, simulator, own = model_of_simulator(simulated, noise, options)
