@@ -91,3 +91,22 @@ def test_a_target_of_two_files(tmp_path):
     single_columns(tmp_path)
     target = read_target(tmp_path / "time.csv", join=[tmp_path / "disp.csv"])
     np.testing.assert_allclose(target.displacement, OUTPUT * 1e-3, rtol=1e-12)
+
+
+def test_rows_above_the_header_do_not_prevent_joining(tmp_path):
+    """Rows above the names of a motion capture could be names too, but then the file has no time."""
+    time, fast = np.arange(200) / 100, np.arange(1000) / 500
+    rows = [f"{k},{t:.2f},{np.sin(t):.6f}" for k, t in enumerate(time)]
+    (tmp_path / "a.csv").write_text("\n".join([",,tip", ",,Position", "Frame,Time (s),z (mm)", *rows]))
+    (tmp_path / "u.csv").write_text("\n".join(["t,U (V)", *(f"{t:.3f},{100 * t:.2f}" for t in fast)]))
+    (record,) = read(tmp_path / "a.csv", join=[tmp_path / "u.csv"])
+    assert record.samples >= 199 and record.voltage_unit == "V"
+
+
+def test_a_clock_without_a_unit_is_asked_about_before_joining(tmp_path):
+    save_csv(tmp_path / "u.csv", {"t": np.arange(400), "voltage_V": np.arange(400.0)})
+    save_csv(tmp_path / "y.csv", {"t": np.arange(0, 400, 2), "displacement_mm": np.sin(np.arange(200) / 9)})
+    with pytest.raises(BadInput, match="counts in whole numbers and has no unit.*--time-unit UNIT"):
+        read(tmp_path / "u.csv", join=[tmp_path / "y.csv"])
+    (record,) = read(tmp_path / "u.csv", join=[tmp_path / "y.csv"], time_unit="ms")
+    assert record.dt == pytest.approx(2e-3)

@@ -680,3 +680,47 @@ def test_patterns_that_the_shell_left_alone(tmp_path):
         save_csv(tmp_path / name, columns())
     assert [r.name for r in read(tmp_path / "a*.csv")] == ["a1", "a2"]
     assert "no such file" in refused(tmp_path / "c*.csv")
+
+
+def test_an_empty_name_at_the_end_shifts_no_name(tmp_path):
+    """A row counter and an unnamed last column (motion capture) are not the row names of R."""
+    rows = [f"{k},{t:.3f},{v:.1f},{y:.6f},0.1" for k, (t, v, y) in enumerate(zip(TIME, VOLTAGE, OUTPUT, strict=True))]
+    (tmp_path / "a.csv").write_text("\n".join(["Frame,Time (s),HV (V),Tip (mm),", *rows]))
+    same(read(tmp_path / "a.csv")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.parametrize(
+    ("names", "read_as"),
+    [
+        (("duty_percent", "pos_mm", "battery_voltage_V"), "percent"),
+        (("current [A]", "position [mm]", "Vbus [V]"), "A"),
+        (("cmd [%]", "position [mm]", "supply [V]"), None),
+        (("pressure_set_kPa", "displacement_mm", "valve_V"), None),
+    ],
+)
+def test_a_voltage_beside_a_command_is_not_taken_for_it(tmp_path, names, read_as):
+    path = csv_of(tmp_path / "a.csv", ("time_s", *names), (TIME, VOLTAGE, OUTPUT, 24 - TIME))
+    if read_as is None:
+        assert tried(refused(path))["input_column"] == names[0]
+    else:
+        assert read(path)[0].voltage_unit == read_as
+
+
+def test_a_clock_that_dates_contradict_is_asked_about(tmp_path):
+    """The header says ms, the numbers are s; the dates beside them cannot have a wrong unit."""
+    dates = [(datetime(2026, 11, 23, 10) + timedelta(seconds=t)).isoformat(timespec="milliseconds") for t in TIME]
+    rows = [f"{d},{t:.3f},{v:.1f},{y:.6f}" for d, t, v, y in zip(dates, TIME, VOLTAGE, OUTPUT, strict=True)]
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join(["DateTime,time_ms,U (V),x (mm)", *rows]))
+    assert tried(refused(path)) == {"time_column": "DateTime"}
+    for said in ({"time_column": "DateTime"}, {"time_unit": "s"}):
+        (record,) = read(path, **said)
+        assert record.dt == pytest.approx(1e-3, rel=1e-6)
+
+
+def test_fields_of_a_structured_array_are_columns(tmp_path):
+    rows = np.zeros(T, dtype=[(name, float) for name in columns()])
+    for name, values in columns().items():
+        rows[name] = values
+    np.savez(tmp_path / "a.npz", log=rows)
+    same(read(tmp_path / "a.npz")[0], VOLTAGE, OUTPUT * 1e-3)

@@ -27,8 +27,9 @@ _WORD = {
     "voltage": "input (voltage_V, input_rad, ...)",
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
-_FEW = {"time": "s|ms|us|ns|min", "voltage": "V|kV|mV|A|N|bar|rad|...", "displacement": "m|mm|um|V|rad|deg|..."}
+_WRONG = np.log(300)  # between clocks of one recording, of which one has a wrong unit
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
+_SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
 
 
@@ -112,6 +113,8 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
     for quantity in quantities:
         try:
             chosen[quantity] = _choose(seen, pools[quantity], quantity, options)
+            if quantity == "time" and options.rate is None and options.time_unit is None:
+                _check_clock(table, seen, chosen[quantity])
         except Refused as ask:
             problems[quantity] = ask
     ports = [s for q in ("voltage", "displacement") for s in seen if q in chosen and s.place == chosen[q].place]
@@ -131,11 +134,6 @@ def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]
         names = [s.column.name for s in ports]
         why = f"{names[0]!r} and {names[1]!r} may be ports of the DAQ or of the actuator; give --input-column"
         problems["voltage"] = Refused(why, {"--input-column": names[0], "--output-column": names[1]})
-    clock = chosen.get("time")
-    if problems and options.rate is None and clock is not None and clock.place is not None and clock.bare:
-        strange = clock_question(_values(table, clock.place), clock.name)
-        if strange:  # all problems at once
-            problems["time"] = Refused(strange, {"--time-unit": "UNIT"})
     if problems:
         why = "; ".join(ask.why for ask in problems.values())
         words = _suggested(table, seen, pools, chosen, problems, options, quantities)
@@ -199,7 +197,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     if "time" in quantities and "time" not in pools:
         pools["time"] = _clocks(open_)
     clocks = [*pools.get("time", []), *_clocks(open_)]
-    data = [s for s in open_ if s not in clocks and not s.counts_rows]
+    data = [s for s in open_ if s not in clocks and not s.counts_rows and not s.header.words & _SUPPLIES]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     # a laser or an encoder is often read in volts
     sensed = [s for s in volts if s.role == "output"]
@@ -207,12 +205,10 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
     if not driving and lengths:  # the only voltage beside a length, whatever its name
         sensed, driving = [], sensed
     # volts are an input only beside a measured response
-    moving = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
+    measured = sensed or lengths or pools.get("displacement", []) or options.output_scale is not None
+    moving = measured or "displacement" not in quantities
     if "voltage" in quantities and "voltage" not in pools:
-        alone = "displacement" not in quantities and driving
-        pools["voltage"] = (
-            _competing(driving, data, "input") if (driving and moving) or alone else _machine(data, "input")
-        )
+        pools["voltage"] = _competing(driving, data, "input") if driving and moving else _machine(data, "input")
     if "displacement" in quantities and "displacement" not in pools:
         drive = pools.get("voltage", [])
         # the input itself is not a response
@@ -220,7 +216,7 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
         # a scale applies to volts, so they come first
         first, second = (sensed, lengths) if options.output_scale is not None else (lengths, sensed)
         pair = [s for s in first if s in data] or [s for s in second if s in data]
-        usual = bool(driving) or "voltage" not in quantities or not pair
+        usual = driving or "voltage" not in quantities
         single = pair and (usual or not _machine(data, "output"))
         pools["displacement"] = _competing(pair, data, "output") if single else _machine(data, "output")
     return pools
@@ -240,16 +236,8 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
     if len(clocks) < 2:
         return clocks
     values = {s.place: _values(table, s.place) for s in clocks}
-    rules = (
-        lambda s: s.column.form == "stamp" or _ticks(values[s.place]),
-        lambda s: s.unknown is None,  # a column in g is not a time, whatever its name
-        lambda s: s.header.clock_only,
-        # beside dates, which are often coarser
-        lambda s: s.role == "time" and s.kind == "time" and s.column.form != "stamp",
-        lambda s: s.role == "time" and (s.kind == "time" or s.column.form == "stamp"),
-    )
-    for rule in rules:
-        clocks = [s for s in clocks if rule(s)] or clocks
+    ranks = [_rank(s, values[s.place]) for s in clocks]
+    clocks = [s for s, rank in zip(clocks, ranks, strict=True) if rank == max(ranks)]
     seconds = {s.place: to_base(values[s.place], (s.kind == "time" and s.unit) or "s") for s in clocks}
     first = seconds[clocks[0].place]
     if len(clocks) > 1 and all(agree(first, other, 0.5, shifted=True) for other in seconds.values()):
@@ -257,6 +245,31 @@ def _likeliest_clocks(table: Table, clocks: list[_Seen]) -> list[_Seen]:
         asked = {s.place: s.kind is None and clock_question(values[s.place], "") is not None for s in clocks}
         clocks = [min(clocks, key=lambda s: (asked[s.place], float(np.nanmax(np.abs(seconds[s.place])))))]
     return clocks
+
+
+def _rank(s: _Seen, values: np.ndarray) -> tuple[bool, ...]:
+    """Rank a clock: it ticks, has no other unit (g), no other name (latency), a time's name and unit beside dates."""
+    dated = s.column.form == "stamp"
+    named = s.role == "time"
+    united = named and s.kind == "time" and not dated
+    return dated or _ticks(values), s.unknown is None, s.header.clock_only, united, named and dated
+
+
+def _check_clock(table: Table, seen: Sequence[_Seen], clock: Choice) -> None:
+    """Ask about a clock without a unit, or with one that dates and hours in another column contradict."""
+    dates = [s for s in seen if s.column.form == "stamp" and s.place != clock.place]
+    if not dates and not clock.bare:
+        return
+    time = _values(table, clock.place or 0)
+    if clock.bare and (strange := clock_question(time, clock.name)):
+        raise Refused(strange, {"--time-unit": "UNIT"})
+    for s in dates:
+        stamps = _values(table, s.place)
+        if _ticks(time) and _ticks(stamps):
+            long, dated = (np.nanmax(v) - np.nanmin(v) for v in (to_base(time, clock.unit), stamps))
+            if abs(np.log(long / dated)) > _WRONG:
+                why = f"column {clock.name!r} lasts {long:.3g} s in {clock.unit}, but {s.column.name!r} {dated:.3g} s"
+                raise Refused(f"{why}; give --time-unit or another --time-column", {"--time-column": s.column.name})
 
 
 def _ticks(values: np.ndarray) -> bool:
@@ -284,12 +297,15 @@ def agree(first: np.ndarray, other: np.ndarray, within: float, *, shifted: bool 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
     """Return columns of the role's usual unit; if none is named for the role, also named columns without a unit.
 
-    A DAQ channel comes last, because it may be a monitor of such a column.
+    A command of another unit competes with a voltage, unless that is named a command too.
     """
     bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
+    commands = [s for s in data if role == "input" and s.header.commanded]
+    if commands and not any(s in commands for s in united):
+        return [*united, *commands]
     if any(s.role == role and not s.header.words & _DAQ for s in united):
         return [*united]
-    return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
+    return [*united, *bare]
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:
@@ -359,16 +375,16 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
         )
     if seen.written and quantity != "time":
         return Choice(seen.place, name, seen.written, note)
-    if seen.unknown:
-        raise Refused(f"column {name!r} has the unknown unit {seen.unknown!r}; give --{stem}-unit {_FEW[quantity]}")
-    if seen.unit is not None and seen.unit in units_of(quantity):
-        return Choice(seen.place, name, seen.unit, note)
-    if seen.unit is None and options.scale(quantity) is not None:
+    unit = seen.unit or seen.unknown
+    if unit in units_of(quantity):
+        return Choice(seen.place, name, str(unit), note)
+    if unit is None and options.scale(quantity) is not None:
         return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
-    if quantity == "time" and seen.unit is None:
+    if unit is None and quantity == "time":
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
-    why = "no unit" if seen.unit is None else f"the unit {seen.unit}, which is not a unit"
-    raise Refused(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {_FEW[quantity]}")
+    why = "no unit" if unit is None else f"the unknown unit {unit!r}"
+    units = "s|ms|us|ns|min" if quantity == "time" else "V|mm|rad|A|N|bar|..., counts for any other"
+    raise Refused(f"column {name!r} has {why} for the {stem}; give --{stem}-unit {units}")
 
 
 def _suggested(table: Table, seen, pools, chosen, problems, options: ReadOptions, quantities) -> dict[str, str]:
@@ -479,8 +495,8 @@ def _names(names: Sequence[str]) -> str:
     return ", ".join(repr(shortened(name, 40)) for name in dict.fromkeys(names))
 
 
-def listed(columns: Sequence[Column], most: int = 8) -> str:
+def listed(columns: Sequence[Column]) -> str:
     """Write the names of the first columns of a table, for messages."""
     names = [column.name for column in columns if column.name]
-    beyond = len(dict.fromkeys(names[most:]))
-    return (_names(names[:most]) or "none") + f" and {beyond} more" * bool(beyond)
+    beyond = len(dict.fromkeys(names[8:]))
+    return (_names(names[:8]) or "none") + f" and {beyond} more" * bool(beyond)

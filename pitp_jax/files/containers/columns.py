@@ -114,9 +114,9 @@ def _one_signal(one: Loaded) -> Loaded:
 
 def _ours(table: Table) -> bool:
     """Return whether a table has exactly the three columns of files that pitp writes."""
-    ours = [frozenset(column_names(q)) for q in ("time", "voltage", "displacement")]
-    names = [c.name for c in table.columns]
-    return len(names) == 3 and all(name in known for name, known in zip(names, ours, strict=True))
+    quantities = ("time", "voltage", "displacement")
+    known = [c.name in column_names(q) for c, q in zip(table.columns, quantities, strict=False)]
+    return len(table.columns) == 3 and all(known)
 
 
 def _agreed(tables: list[Table], options: ReadOptions, quantities: Sequence[str]) -> tuple[Table, dict[str, Choice]]:
@@ -243,28 +243,21 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         loaded["time"] = np.arange(count) / rate
         return choice
     seen = np.count_nonzero(np.isfinite(time))
-    unfit, remedy = "", {"--rate": "RATE"}
+    unfit = ""
     if len(time) != count:
         unfit = f"the clock {name!r} has {len(time)} values for {count} samples; give --rate HZ"
     elif not seen or (seen < 2 and rate is not None):
         unfit = f"the clock {name!r} is empty; give --rate HZ"
-    elif seen > 1 and choice.bare:
-        unfit, remedy = _unknown_clock(time, name, rate), {"--time-unit": "UNIT"}
+    elif seen > 1 and choice.bare and rate is not None:
+        step = float(np.median(np.diff(time[np.isfinite(time)])))
+        seconds = clock_question(time, name) is None and 1 / _SECONDS < step * rate < _SECONDS
+        unfit = "" if seconds else f"the clock {name!r} has no unit"
     if not unfit:
         return choice
     if rate is None:
-        raise Refused(unfit, remedy)
+        raise Refused(unfit, {"--rate": "RATE"})
     loaded["time"] = np.arange(count) / rate
     return Choice(None, "--rate", "s", unfit.partition(";")[0])
-
-
-def _unknown_clock(time: np.ndarray, name: str, rate: float | None) -> str:
-    """Return the reason why a clock without a unit cannot be used; empty if it counts seconds."""
-    if rate is None:
-        return clock_question(time, name) or ""
-    step = float(np.median(np.diff(time[np.isfinite(time)])))
-    seconds = clock_question(time, name) is None and 1 / _SECONDS < step * rate < _SECONDS
-    return "" if seconds else f"the clock {name!r} has no unit"
 
 
 def _without_empty_rows(loaded: dict[str, np.ndarray]) -> tuple[dict, np.ndarray | None]:

@@ -169,12 +169,7 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         return len(row) == width and some and all(fit[form](cell) for cell, form in zip(row, forms, strict=True))
 
     good = [k for k in body if holds(k)]
-    # single numbers above a row of names are settings
-    full = next((k for k in good if _count(rows.cells[k], decimal) > 1), 0)
-    between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
-    if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
-        good = [k for k in good if k >= full]
-    # two rows of numbers in sequence start the data
+    # two rows of numbers in sequence start the data, one above the names is a setting
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return next(iter(pairs or good), None)
 
@@ -251,7 +246,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
         names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells to the right of the header ignored"]
-    if len(names) == widths[0] - 1:
+    if len(rows.cells[k]) == widths[0] - 1:  # an empty last cell of the header is a column without a name
         names = ["row", *names]
         notes.append("row names before the first column")
         counts = [row[0] for row in rows.cells[first:] if len(row) == width]

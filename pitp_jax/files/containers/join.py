@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from ...common.errors import BadInput, cleaned
-from ...common.units import to_base
+from ...common.units import from_base, to_base
 from ...method.signal.checks import sample
 from .choice import agree, choose_columns
 from .formats import open_parts, split_suffix
@@ -22,7 +22,7 @@ from .formats.text import single_column
 from .header import NoTable
 from .names import read_header
 from .options import ReadOptions
-from .refusal import about
+from .refusal import Refused, about, unrefused
 from .table import Column, Parts, Table
 
 
@@ -35,7 +35,8 @@ def joined_parts(path: Path, options: ReadOptions) -> Parts:
     if not options.join:
         return [[_each_clock(table, options) for table in tables] for tables in open_parts(path, options)]
     beside = [_opened(Path(other), options)[0][0] for other in options.join]
-    return [[_joined([table, *beside], options) for table in tables] for tables in _opened(path, options)]
+    # of the readings of a file, those count that belong to the other files
+    return [list(unrefused(lambda one: _joined([one, *beside], options), t)) for t in _opened(path, options)]
 
 
 def _each_clock(table: Table, options: ReadOptions) -> Table:
@@ -58,10 +59,7 @@ def _opened(path: Path, options: ReadOptions) -> Parts:
         try:
             return open_parts(path, replace(options, sheet=None, split_by=None))
         except NoTable:
-            column = single_column(path)
-            if column is None:
-                raise
-            return [[column]]
+            return [[single_column(path)]]
 
 
 def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
@@ -81,7 +79,7 @@ def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:
     if any(clock is None for clock in clocks):
         rows = ", ".join(f"{table.path.name} ({size} rows)" for table, size in zip(tables, sizes, strict=True))
         raise BadInput(f"cannot join {cleaned(rows)}; give files of the same length, or with a time column each")
-    return _in_turn(tables, [clock for clock in clocks if clock is not None])
+    return _in_turn(tables, [clock for clock in clocks if clock is not None], options)
 
 
 def _rows(table: Table) -> int:
@@ -96,7 +94,9 @@ def _clock(table: Table, options: ReadOptions) -> tuple[int, np.ndarray] | None:
     """Return the index of a table's time column and its values in s, or None."""
     try:
         choice = choose_columns(table, options, ("time",))["time"]
-    except BadInput:
+    except Refused as ask:
+        if ask.options == {"--time-unit": "UNIT"}:  # a clock without a unit is a clock
+            raise
         return None
     if choice.place is None:
         return None
@@ -113,15 +113,16 @@ def _side_by_side(tables: Sequence[Table], dropped: dict[int, int]) -> Table:
     return Table(first.path, columns, load, first.place, _form(tables), first.part, first.hint, first.blanks)
 
 
-def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) -> Table:
+def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]], options: ReadOptions) -> Table:
     """Merge the rows of all tables in order of time; cells are empty where a table has no row at that time."""
+    unit = options.time_unit or "s"  # the stated unit is applied to the merged clock again
     columns, owners = _columns(tables, {k: place for k, (place, _) in enumerate(clocks)})
     time = np.concatenate([values for _, values in clocks])
     order = np.argsort(time, kind="stable")
     own = np.repeat(np.arange(len(tables)), [len(values) for _, values in clocks])[order]
 
     def load(places: Sequence[int]) -> list[np.ndarray]:
-        return [time[order] if place == len(owners) else spread(place) for place in places]
+        return [from_base(time[order], unit) if place == len(owners) else spread(place) for place in places]
 
     def spread(place: int) -> np.ndarray:
         table, inner = owners[place]
@@ -131,7 +132,12 @@ def _in_turn(tables: Sequence[Table], clocks: Sequence[tuple[int, np.ndarray]]) 
 
     first = tables[0]
     return Table(
-        first.path, (*columns, Column("time_s")), load, sample, f"{_form(tables)}, rows by their times", first.part
+        first.path,
+        (*columns, Column(options.time_column or f"time_{unit}", unit)),
+        load,
+        sample,
+        f"{_form(tables)}, rows by their times",
+        first.part,
     )
 
 

@@ -15,7 +15,7 @@ _VOCABULARY = {
     "time": "t time zeit timestamp stamp unix epoch reltime abstime date datetime datum uhrzeit temps tiempo tempo "
     "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input inputs in vin amplifier amp "
-    "excitation eingang anregung actuation monitor command cmd setpoint desired des target reference ref goal soll "
+    "excitation eingang anregung actuation monitor command cmd set setpoint desired des target reference ref goal soll "
     "demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output outputs out motion extension elongation height hoehe deplacement response lvdt sensor "
@@ -23,7 +23,7 @@ _VOCABULARY = {
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
-    "command cmd setpoint desired des goal target soll demand ctrl action".split()
+    "command cmd set setpoint desired des goal target soll demand ctrl action duty pwm".split()
 )  # a command even beside the word "position"
 _PORTS = frozenset(
     "input inputs output outputs in out vin vout eingang ausgang".split()
@@ -62,7 +62,7 @@ class Header:
     @property
     def roles(self) -> list[str]:
         """Return every role (time, input, output) that a word of the name indicates."""
-        return [role for role, known in _WORDS.items() if self.words & known]
+        return _roles(self.words)
 
     @property
     def commanded(self) -> bool:
@@ -157,6 +157,10 @@ def _words(stem: str) -> frozenset[str]:
     return frozenset(words | far_east)
 
 
+def _roles(words: frozenset[str]) -> list[str]:
+    return [role for role, known in _WORDS.items() if words & known]
+
+
 def _role(words: frozenset[str]) -> str | None:
     if "x_value" in words:
         return "time"
@@ -164,5 +168,5 @@ def _role(words: frozenset[str]) -> str | None:
     if words & _COMMANDS:
         return "input"
     # `input displacement` indicates two roles, so none
-    named = [role for role, known in _WORDS.items() if words & known]
+    named = _roles(words)
     return named[0] if len(named) == 1 else None

@@ -148,11 +148,11 @@ class ReadOptions:
 
     def scale(self, quantity: str) -> float | None:
         """Return the scale that the user states for input or output; None for the time."""
-        return {"voltage": self.input_scale, "displacement": self.output_scale}.get(quantity)
+        return getattr(self, f"{OPTIONS[quantity]}_scale", None)
 
     def offset(self, quantity: str) -> float:
         """Return the number that the user subtracts from input or output, in the numbers of the file; 0 without one."""
-        return {"voltage": self.input_offset, "displacement": self.output_offset}.get(quantity) or 0.0
+        return getattr(self, f"{OPTIONS[quantity]}_offset", None) or 0.0
 
     def said(self) -> dict[str, Any]:
         """Return the stated options by their command-line names, without those that are None and without `joint`."""
@@ -196,8 +196,6 @@ def with_folder(options: ReadOptions, path: Path) -> ReadOptions:
     said = _of_file(path)
     with about(path.parent / FOLDER_FILE):
         joints = joints_of(said.pop("each", {}))
-        if isinstance(said.get("units_line"), int):
-            said["units_line"] = str(said["units_line"])
         if "join" in said:
             said["join"] = joined_in(path)
         # the options of the caller

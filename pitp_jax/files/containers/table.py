@@ -73,12 +73,14 @@ class Stored:
         values: the array, or a function that reads it.
         unit: beside the data, as stored, or None.
         shape: of an array that is not read yet.
+        fields: of its dtype, if it is a structured array.
     """
 
     name: str
     values: Any
     unit: Any = None
     shape: Sequence[int] = ()
+    fields: Sequence[str] = ()
 
     def load(self) -> Any:
         """Return the array, read if it is not yet."""
@@ -108,7 +110,12 @@ def array_table(path: Path, stored: Iterable[Stored], form: str, part: str = "")
 
 
 def _lines(one: Stored) -> list[tuple[str, Callable[[], Any]]]:
-    """Return a vector; split a long matrix into `data[1]`, ..., and (time, environment, joint) into `data[1,1]`, ..."""
+    """Return a vector; split a long matrix into `data[1]`, ..., and (time, environment, joint) into `data[1,1]`, ...
+
+    The fields of a structured array are vectors by their own names.
+    """
+    if one.fields:
+        return [(field, lambda field=field: one.load()[field]) for field in one.fields]
     shape = one.shape or getattr(one.values, "shape", ())
     # long in one dimension: an image or a map is long in both
     axis = int(np.argmax(shape)) if len(shape) else 0

@@ -1,6 +1,7 @@
 """Read datasets of HDF5 files, at the root and in groups; only hard links are followed."""
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -34,13 +35,7 @@ def tables(path: Path, options: ReadOptions, form: str = "HDF5 file") -> Parts:
     for chosen in parts:
         full = len(chosen) > 1
         names = {where if full else where.rpartition("/")[2]: where for places in chosen.values() for where in places}
-        stored = []
-        for name, where in names.items():
-            unit, shape, fields = known[where]
-            # a table of PyTables or pandas: its fields are the columns
-            stored += [Stored(f, lambda where=where, f=f: _dataset(path, where)[f]) for f in fields]
-            if not fields:
-                stored.append(Stored(name, lambda where=where: _dataset(path, where), unit, shape))
+        stored = [Stored(name, partial(_dataset, path, where), *known[where]) for name, where in names.items()]
         made.append([array_table(path, stored, form, next(iter(chosen), "") if split else "")])
     return made
 

@@ -21,7 +21,8 @@ def tables(path: Path, options: ReadOptions) -> Parts:
     check_archive(path)
     with zipfile.ZipFile(path) as archive:
         members = [name for name in archive.namelist() if name.endswith(".npy")]
-        stored = [Stored(name.removesuffix(".npy"), _npy(archive, name)) for name in members]
+        arrays = {name.removesuffix(".npy"): _npy(archive, name) for name in members}
+    stored = [Stored(n, v, fields=getattr(v, "dtype", np.dtype(int)).names or ()) for n, v in arrays.items()]
     return [[array_table(path, stored, "NumPy archive")]]
 
 

@@ -92,29 +92,17 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
     return [table for made in unrefused(read_as, encodings) for table in made]
 
 
-def single_column(path: Path) -> Table | None:
-    """Return a text of one number per line as a table, named by its first line or the file; None for other texts."""
-    try:
-        lines = [line.strip().strip('"') for line in plain_text(path).decode().split("\n")]
-    except (BadInput, UnicodeError):
-        return None
-    numbers = [k for k, line in enumerate(lines) if line and not line.startswith(COMMENTS)]
-    decimal = "," if any("," in lines[k] for k in numbers[1:]) else "."
-    name = path.name.partition(".")[0]
-    if numbers and not is_number(lines[numbers[0]], decimal):
-        name = lines[numbers.pop(0)]
-    cells = [lines[k] for k in numbers]
-    if len(cells) < 2 or not all(is_number(cell, decimal) for cell in cells):
-        return None
-    layout = Layout("", decimal, (Column(cleaned(name)),), 0, 1)
-
-    def place(k: int) -> str:
-        return f"sample {k} (line {numbers[k] + 1})"
-
-    return Table(
-        path, layout.columns, lambda places: [numbers_of(cells, layout, k, place) for k in places], place,
-        "text of one column"
-    )  # fmt: skip
+def single_column(path: Path) -> Table:
+    """Return a text of one number per line as a table, named by its first line or the file."""
+    data = plain_text(path)
+    begin, end = next(span[:2] for span in _first_lines(data) if not data[span[0] : span[1]].startswith(_MARKS))
+    name, first = path.name.partition(".")[0], data[begin:end].decode("utf-8", "replace").strip(' "')
+    if not is_number(first, ".") and not is_number(first, ","):
+        name, begin = first, end + 1
+    layout = Layout("\t", ".", (Column(cleaned(name)),), 0, 1)
+    body = _body((data, begin), layout)
+    layout = _with_decimal(body, layout)
+    return _table(path, partial(plain_text, path), data[:begin], body, layout, "utf-8", "text of one column")
 
 
 def _with_decimal(body: _Body, layout: Layout) -> Layout:
@@ -467,7 +455,7 @@ def _rectangular(body: _Body, layout: Layout) -> bool:
         marks, each = np.flatnonzero(codes == ord(layout.separator)), layout.width - 1
     # the marks of row k lie between the ends of rows k - 1 and k
     return len(marks) == len(ends) * each and bool(
-        np.all(marks[each - 1 :: each] < ends) and np.all(marks[each::each] > ends[:-1])
+        not each or np.all(marks[each - 1 :: each] < ends) and np.all(marks[each::each] > ends[:-1])
     )
 
 
