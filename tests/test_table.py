@@ -1,7 +1,7 @@
 """Files to columns: units against pint, names, dialects with random names and units, what must be asked, pitp.toml."""
 
 import shlex
-from datetime import datetime, timedelta
+from datetime import UTC, datetime, timedelta
 from typing import Any
 
 import h5py
@@ -724,3 +724,25 @@ def test_fields_of_a_structured_array_are_columns(tmp_path):
         rows[name] = values
     np.savez(tmp_path / "a.npz", log=rows)
     same(read(tmp_path / "a.npz")[0], VOLTAGE, OUTPUT * 1e-3)
+
+
+@pytest.mark.parametrize("day", [739944.4, 46345.4])  # of MATLAB and of Excel
+def test_days_without_a_unit_are_asked_about(tmp_path, day):
+    rows = [f"{day + 500 * t / 86400:.9f},{v:.1f},{y:.6f}" for t, v, y in zip(TIME, VOLTAGE, OUTPUT, strict=True)]
+    (tmp_path / "a.csv").write_text("\n".join(["Time,U (V),x (mm)", *rows]))
+    assert tried(refused(tmp_path / "a.csv"))["time_unit"] == "UNIT"
+    assert read(tmp_path / "a.csv", time_unit="d")[0].dt == pytest.approx(0.5, rel=1e-3)
+
+
+def test_a_zone_that_changes_moves_no_time(tmp_path):
+    """Summer time ends within the record: 01:00 UTC is 03:00+02:00 and 02:00+01:00."""
+    start, rows = datetime(2026, 10, 25, 0, 59, 59, 950000), []
+    for k in range(T):
+        utc = start + timedelta(milliseconds=k)
+        zone = 2 if utc.hour < 1 else 1
+        local = (utc + timedelta(hours=zone)).isoformat(timespec="milliseconds")
+        rows.append(f"{local}+0{zone}:00,{VOLTAGE[k]:.1f},{OUTPUT[k]:.6f}")
+    (tmp_path / "a.csv").write_text("\n".join(["Timestamp,U (V),x (mm)", *rows]))
+    begin = start.replace(tzinfo=UTC).timestamp()
+    # a float resolves 0.24 us of the seconds since 1970
+    np.testing.assert_allclose(read(tmp_path / "a.csv")[0].time - begin, TIME, atol=1e-6)

@@ -30,7 +30,7 @@ _WORD = {
 _WRONG = np.log(300)  # between clocks of one recording, of which one has a wrong unit
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
-_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence id".split())
+_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())
 
 
 @dataclass(frozen=True)
@@ -155,9 +155,10 @@ def clock_question(time: np.ndarray, name: str) -> str | None:
     step = float(np.median(np.diff(seen))) if len(seen) > 1 else 0.0
     if len(seen) and seen.min() > 1e9 and seen.max() < 4e9:  # s since 1970: the years 2001 to 2096
         return None
-    # 0, 1, 2, ... may count samples, ms or s; steps of 0.1 or more, or of less than 1e-6, are certainly not seconds
+    # 0, 1, 2, ... may count samples, ms or s; steps of 0.1 or more, or of less than 1e-6, are certainly not seconds,
+    # and neither are steps of less than 1e-4 far from zero (days since 1900 or since the year 0)
     whole = step >= 1 and np.array_equal(seen, np.round(seen))
-    if not (whole or step >= 0.1 or 0 < step < 1e-6):
+    if not (whole or step >= 0.1 or 0 < step < (1e-4 if seen.min() > 1e4 else 1e-6)):
         return None
     how = "counts in whole numbers" if whole else f"rises in steps of {step:.3g}"
     return f"column {name!r} {how} and has no unit; give --time-unit s|ms|us|d, or --rate HZ if it counts samples"
@@ -336,7 +337,10 @@ def _choose(seen: Sequence[_Seen], pool: Sequence[_Seen], quantity: str, options
     if not pool:
         worded = [s.column.name for s in seen if s.column.form == "text" and s.role == stem]
         if worded:
-            raise Refused(f"column {worded[0]!r} holds text; write plain numbers without thousands separators")
+            how = (
+                "seconds, or 2026-11-23 10:00:00.123" if quantity == "time" else "numbers without thousands separators"
+            )
+            raise Refused(f"column {worded[0]!r} holds text; write {how}")
         raise Refused(f"the {_WORD[quantity]} is missing")
     if len(pool) > 1:
         names = [s.column.name for s in pool]

@@ -4,7 +4,6 @@ t = date + hour in s since 1970 if there is a date; otherwise s since midnight, 
 """
 
 import re
-import warnings
 from collections.abc import Sequence
 from datetime import date
 from functools import lru_cache
@@ -60,12 +59,7 @@ def _dates(series, order: str) -> np.ndarray | None:
     if not all(days.values()):
         return None
     whole = parts[0].map(days) + parts[1]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        try:
-            dates = pd.to_datetime(whole, format="ISO8601")
-        except ValueError:  # hours such as 10:00:00 PM
-            dates = pd.to_datetime(whole, format="mixed")
+    dates = pd.to_datetime(whole, format="mixed", utc=True)  # a zone may change in between
     return (dates.dt.tz_localize(None) - pd.Timestamp(0)).dt.total_seconds().to_numpy(np.float64)
 
 
