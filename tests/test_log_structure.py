@@ -58,6 +58,26 @@ def test_registers_are_read_as_sign_and_magnitude(tmp_path, bit):
     assert f"bit {bit} is the sign" in record.recognised["output"]
 
 
+@pytest.mark.parametrize("bits", [16, 32])
+def test_registers_are_read_as_a_twos_complement(tmp_path, bits):
+    """A current and a speed below zero are close to 65535 in a register that is read as unsigned."""
+    motion, drive = np.round(400 * MOTION), np.round(400 * np.sign(DRIVE))
+    table = {"time_s": TIME, "goal_current [mA]": drive % 2.0**bits, "speed [rpm]": motion % 2.0**bits}
+    save_csv(tmp_path / "a.csv", table)
+    (record,) = read(tmp_path / "a.csv")
+    np.testing.assert_allclose(record.displacement, motion * 2 * np.pi / 60, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(record.voltage, drive / 1e3, rtol=0, atol=1e-9)
+    assert f"bit {bits - 1} is the sign" in record.recognised["output"]
+
+
+@pytest.mark.parametrize("high", [4e4, 65535.0])
+def test_a_command_between_two_ends_is_no_complement(tmp_path, high):
+    drive = np.where(DRIVE > 0, high, 0.0)
+    save_csv(tmp_path / "a.csv", {"time_s": TIME, "dac_counts": drive, "position_mm": MOTION})
+    options = {"input_column": "dac_counts"}
+    np.testing.assert_array_equal(read(tmp_path / "a.csv", **options)[0].voltage, drive)
+
+
 @pytest.mark.parametrize("values", [np.arange(40000.0), np.where(TIME > 3, 40000.0, 5.0), np.round(4e4 + 100 * MOTION)])
 def test_plain_numbers_have_no_sign_bit(values):
     assert sign_bit(values) is None

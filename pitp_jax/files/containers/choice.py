@@ -195,9 +195,9 @@ def _pools(seen: Sequence[_Seen], options: ReadOptions, quantities: Sequence[str
             exact = [s for s in open_ if s.column.name in column_names(quantity)]
             if exact:
                 pools[quantity] = exact
+    clocks = _clocks(open_)
     if "time" in quantities and "time" not in pools:
-        pools["time"] = _clocks(open_)
-    clocks = [*pools.get("time", []), *_clocks(open_)]
+        pools["time"] = clocks
     data = [s for s in open_ if s not in clocks and not s.counts_rows and not s.header.words & _SUPPLIES]
     volts, lengths = ([s for s in data if s.kind == kind] for kind in ("voltage", "length"))
     # a laser or an encoder is often read in volts

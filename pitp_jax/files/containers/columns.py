@@ -17,7 +17,7 @@ from .join import joined_parts
 from .names import read_header
 from .options import OPTIONS, ReadOptions, with_folder
 from .refusal import Refused, unrefused
-from .structure import keys_in_turn, refreshed, sign_bit, signed
+from .structure import keys_in_turn, mirrored, refreshed, sign_bit, signed
 from .table import Column, Table
 
 _SECONDS = 3.0  # ratio to a stated rate within which a clock without a unit counts seconds
@@ -178,16 +178,18 @@ def _load(table: Table, chosen: dict[str, Choice], options: ReadOptions) -> Load
 
 
 def _registers(values: dict[int, np.ndarray], chosen: dict[str, Choice]) -> tuple[dict, dict[str, Choice]]:
-    """Read input and output as sign and magnitude where a bit of their registers is the sign."""
+    """Read input and output as signed numbers where a bit of their registers is the sign."""
     ports = [(q, c.place) for q, c in chosen.items() if q != "time" and c.place is not None]
-    shared = next((bit for _, place in ports if (bit := sign_bit(values[place])) is not None), None)
-    if shared is None:
-        return values, chosen
-    for q, place in ports:
-        bit = sign_bit(values[place], shared)
-        if bit is not None:
-            values = values | {place: signed(values[place], bit)}
-            chosen = chosen | {q: chosen[q].noted(f"sign and magnitude: bit {bit} is the sign")}
+    for form, read in (("sign and magnitude", np.asarray), ("two's complement", mirrored)):
+        registers = {place: read(values[place]) for _, place in ports}
+        # few values are a command between two ends, not a small motion about zero
+        moving = (r for r in registers.values() if sign_bit(r) is not None and len(np.unique(r)) > 4)
+        shared = next(map(sign_bit, moving), None)
+        for q, place in ports if shared is not None else ():
+            bit = sign_bit(registers[place], shared)
+            if bit is not None:
+                values = values | {place: signed(registers[place], bit)}
+                chosen = chosen | {q: chosen[q].noted(f"{form}: bit {bit} is the sign")}
     return values, chosen
 
 

@@ -15,15 +15,15 @@ _VOCABULARY = {
     "time": "t time zeit timestamp stamp unix epoch reltime abstime date datetime datum uhrzeit temps tiempo tempo "
     "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input inputs in vin amplifier amp "
-    "excitation eingang anregung actuation monitor command cmd set setpoint desired des target reference ref goal soll "
-    "demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
+    "excitation eingang anregung actuation monitor command cmd control set setpoint desired des target reference ref "
+    "goal soll demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output outputs out motion extension elongation height hoehe deplacement response lvdt sensor "
     "ausgang vout angle theta encoder qpos qvel measured actual ist feedback перемещение смещение 変位 位移",
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
-    "command cmd set setpoint desired des goal target soll demand ctrl action duty pwm".split()
+    "command cmd control set setpoint desired des goal target soll demand ctrl action duty pwm".split()
 )  # a command even beside the word "position"
 _PORTS = frozenset(
     "input inputs output outputs in out vin vout eingang ausgang".split()

@@ -159,16 +159,6 @@ class ReadOptions:
         values = {option_of(f.name): getattr(self, f.name) for f in fields(self) if f.name != "joint"}
         return {name: value for name, value in values.items() if value is not None}
 
-    def words(self) -> list[str]:
-        """Return the stated options as words of a command line."""
-        return [word for name, value in self.said().items() for word in (f"--{name}", *_words(value))]
-
-
-def _words(value: Any) -> list[str]:
-    if isinstance(value, tuple):
-        return list(value)
-    return [f"{value:.12g}" if isinstance(value, float) else str(value)]
-
 
 def folder_file(said: dict[str, dict[str, Any]]) -> str:
     """Write the text of a `pitp.toml` that states these options, in one section if all files share them.

@@ -2,6 +2,7 @@
 
 rows of several joints   a column's values take turns in one order, and the signals jump with them, or stamps repeat
 sign and magnitude       v >= 2^n  ->  -(v - 2^n)   if the motion passes zero there, and no value lies between
+two's complement         v >= 2^n  ->  v - 2^(n+1)  likewise, n = 15 or 31
 values that stand        y changes every P > 1 rows only, by more than its resolution: the bus is slower than the log
 """
 
@@ -121,6 +122,16 @@ def sign_bit(values: np.ndarray, other: int | None = None) -> int | None:
         if bit == other or steps[at].max() <= 10 * max(usual, 1.0):
             return bit
     return None
+
+
+def mirrored(values: np.ndarray) -> np.ndarray:
+    """Return a two's complement of 16 or 32 bits, read as unsigned, as sign and magnitude.
+
+    Args:
+        values: shape (T,).
+    """
+    sign = 2.0**15 if np.nanmax(values, initial=0.0) < 2**16 else 2.0**31
+    return np.where(values >= sign, 3 * sign - values, values)
 
 
 def signed(values: np.ndarray, bit: int) -> np.ndarray:
