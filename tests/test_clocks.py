@@ -131,7 +131,9 @@ def test_a_loop_that_pauses_sends_no_packets(tmp_path):
     assert len(read(log(tmp_path / "a.npz", t))) == len(t) // 1000 + (len(t) % 1000 >= 64)
 
 
-@pytest.mark.parametrize(("bits", "tick", "rate"), [(32, 1e-6, 200), (16, 1e-3, 100), (16, 1e-6, 2000), (32, 1e-3, 50)])
+@pytest.mark.parametrize(
+    ("bits", "tick", "rate"), [(32, 1e-6, 200), (16, 1e-3, 100), (16, 1e-6, 2000), (32, 1e-3, 50), (32, 1e-9, 200)]
+)
 @pytest.mark.parametrize("signed", [False, True])
 def test_a_counter_that_overflows_goes_on(tmp_path, bits, tick, rate, signed):
     t = np.arange(2000) / rate

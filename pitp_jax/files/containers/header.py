@@ -124,7 +124,7 @@ def layouts(rows: Rows, separator: str, decimal: str, header_line: int | None, u
     plain_rows = [k for k in above if not rows.commented[k]]
     named = (plain_rows or above)[:4]  # a comment above a row of names is not a row of names
     readings = list(unrefused(lambda k: _named(bare, rows, k, units, widths, first), named))
-    return readings or [_unnamed(bare, rows, units, first, widths)]
+    return readings or [_unnamed(bare, rows, units, first)]
 
 
 def most_common(lengths: Iterable[int]) -> int:
@@ -273,7 +273,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     return replace(named, notes=tuple(notes), hint=hint)
 
 
-def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int, widths: range) -> Layout:
+def _unnamed(bare: Layout, rows: Rows, units: Sequence[str], first: int) -> Layout:
     """Return the layout with columns numbered from 1; refuse it if the row above the numbers looks like a header."""
     last = [k for k in range(first) if not rows.commented[k]][-1:]
     if last and len(trimmed(rows.cells[last[0]])) > 2 and _count(rows.cells[last[0]], bare.decimal) == 0:

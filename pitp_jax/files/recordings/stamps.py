@@ -1,6 +1,6 @@
 """Repair time stamps before a uniform grid is fitted: counter overflows, rows out of order, equal stamps.
 
-overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of 1 ms or 1 us), or plus a day at midnight
+overflow: t_{i+1} - t_i + 2^n ticks is a usual step (n = 16, 31, 32; ticks of ms, us or ns), or plus a day at midnight
 
 Two assumptions about the stamps are compared: they are correct, or the rows were sampled evenly and stamped late. Each
 assumption predicts a row from its neighbours, y_i = w y_{i-1} + (1 - w) y_{i+1}, with w from the stamps or w = 1/2.
@@ -15,8 +15,8 @@ from ...method.signal.checks import refuse_time
 
 FEW = 3.0  # usual steps: rows out of order by less are sorted, output interpolated across more is masked
 EVEN = np.log(2)  # even rows predict the signals twice as well as the stamps do
-# s: counters of 16, 31 and 32 bits in ms and us; seconds of the hour, the day and the week
-_TURNS = (*(2**bits * tick for bits in (16, 31, 32) for tick in (1e-3, 1e-6)), 3600.0, 86400.0, 604800.0)
+# s: counters of 16, 31 and 32 bits in ms, us and ns; seconds of the hour, the day and the week
+_TURNS = (*(2**bits * tick for bits in (16, 31, 32) for tick in (1e-3, 1e-6, 1e-9)), 3600.0, 86400.0, 604800.0)
 
 
 @dataclass(frozen=True)
@@ -154,8 +154,9 @@ def average_stamps(rows: Rows) -> Rows:
     total = np.add.reduceat(np.where(observed, rows.displacement, 0.0), firsts)
     output = np.where(count > 0, total / np.maximum(count, 1), np.nan)
     means = np.add.reduceat(rows.voltage, firsts) / sizes
-    many = len(rows.time) - len(firsts)
-    return replace(rows, time=rows.time[firsts], voltage=means, displacement=output, averaged=many)
+    return replace(
+        rows, time=rows.time[firsts], voltage=means, displacement=output, averaged=len(rows.time) - len(firsts)
+    )
 
 
 def evenness(rows: Rows) -> float:

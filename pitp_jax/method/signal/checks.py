@@ -174,7 +174,7 @@ def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int
         how = "decreases" if steps[at - 1] < 0 else "repeats"
         raise BadInput(
             f"{source}: column {column!r}, {place(at)}: time {how} ({time[at - 1]:.9g} s, then {time[at]:.9g} s); "
-            "sort or split the recording there"
+            "sort the rows, or split them (--split-by COLUMN)"
         )
     # the usual step, whatever a gap adds
     typical, offset = float(np.median(steps)), _grid_offset(time)

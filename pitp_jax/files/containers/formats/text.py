@@ -268,7 +268,7 @@ def _layouts(lines: list[str], numbers: list[int], options: ReadOptions) -> list
     ]
     cells = [cells_of(line, separator) for line in bare]
     cells = _recut(bare, cells, commented, separator, decimal)
-    marked = _durations(cells, decimal)
+    marked = _durations(cells)
     rows = Rows(cells, numbers, commented)
     made = layouts(rows, separator, decimal, options.header_line, options.units_line)
     return [_with_durations(layout, marked) for layout in made]
@@ -300,7 +300,7 @@ def _recut(
     return list(map(recut, lines, cells, commented))
 
 
-def _durations(cells: list[list[str]], decimal: str) -> dict[int, str]:
+def _durations(cells: list[list[str]]) -> dict[int, str]:
     """Remove units from columns whose numbers carry one (`0.001 sec`); return the units by column index."""
     marked = {}
     for k in range(max(map(len, cells), default=0)):
