@@ -158,6 +158,15 @@ def test_median_counts_diverged_as_infinite():
     assert median_e_rms([row(None)]) is None
 
 
+@pytest.mark.parametrize("command", ["predict", "simulate", "adapt"])
+def test_another_kind_of_input_is_refused(call, bench, tmp_path, command):
+    """Percent of a valve were taken for volts, and the model explained nothing."""
+    percent = write_record(tmp_path / "percent.csv", *motion("sine2"))
+    percent.write_text(percent.read_text().replace("voltage_V", "input_percent"))
+    out = ("--out", tmp_path / "today.pitp") if command == "adapt" else ()
+    assert "input in percent, but" in refused(call(command, bench / "nominal", percent, *out))
+
+
 def test_predict_refuses_another_kind_of_output_and_warns_of_another_rate(call, bench, tmp_path):
     voltage, x = motion("sine2")
     volts = write_record(tmp_path / "volts.csv", voltage, x)

@@ -47,13 +47,28 @@ def in_base(given: Amount | None, option: str, quantity: Quantity, *, rate: bool
     """
     if given is None:
         return None
-    unit = quantity.unit
-    if given.unit:
-        unit = spelt(_unit_of_rate(given.unit) if rate else given.unit) or ""
-        if unit not in units_of_kind(quantity.unit):
-            units = [Quantity(u).rate if rate else u for u in units_of_kind(quantity.unit)]
-            raise BadInput(f"{option} {given}: wrong kind of unit; give it in {', '.join(units)}")
+    said = f"{option} {given}"
+    unit = unit_of_kind(given.unit, said, quantity, rate=rate) if given.unit else quantity.unit
     return float(to_base(given.value, unit))
+
+
+def unit_of_kind(text: str, said: str, quantity: Quantity, *, rate: bool = False) -> str:
+    """Return the unit that a text spells.
+
+    Args:
+        text: the unit.
+        said: what the user gave, for the message.
+        quantity: the unit must be of its kind.
+        rate: per second.
+
+    Raises:
+        BadInput: a unit of another kind.
+    """
+    unit = spelt(_unit_of_rate(text) if rate else text) or ""
+    if unit not in units_of_kind(quantity.unit):
+        units = [Quantity(u).rate if rate else u for u in units_of_kind(quantity.unit)]
+        raise BadInput(f"{said}: wrong kind of unit; give it in {', '.join(units)}")
+    return unit
 
 
 def limits_in_base(units: Units, largest: Amount | None, steepest: Amount | None, farthest: Amount | None) -> dict:

@@ -52,14 +52,14 @@ def _joints(arguments: dict) -> dict[str, dict]:
     said = arguments.pop("each")
     # the folders of these arguments do not determine joints
     no_records = "out", "report", "json_file", "model", "nominal"
-    read_from = [v for key, v in arguments.items() if key not in no_records]
-    paths = [Path(p) for v in read_from for p in (v if isinstance(v, list) else [v]) if isinstance(p, str)]
+    read_from = [v if isinstance(v, list) else [v] for key, v in arguments.items() if key not in no_records]
+    paths = [Path(p) for v in read_from for p in v if isinstance(p, str)]
     folders = {p if p.is_dir() else p.parent for p in paths if p.exists()}
-    # imported here, because the table reader loads NumPy, which a usage error does not need
-    if said or any((folder / "pitp.toml").is_file() for folder in folders):
-        from ...files.containers.options import joints_in, joints_of
-    else:
+    if not said and not any((folder / "pitp.toml").is_file() for folder in folders):
         return {}
+    # imported here, because the table reader loads NumPy, which a usage error does not need
+    from ...files.containers.options import joints_in, joints_of
+
     if said:
         return {name: {"input_column": i, "output_column": o} for name, (i, o) in joints_of(said).items()}
     if any(arguments["reading"].get(f"{stem}_column") for stem in ("input", "output")):

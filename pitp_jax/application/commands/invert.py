@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from ...common.errors import BadInput
-from ...common.quantity import Quantity, Units
-from ...common.units import column_name, from_base, kind_of, spelt, units_of_kind
+from ...common.quantity import Quantity
+from ...common.units import column_name, from_base
 from ...files.model_file.model_file import load
 from ...files.recordings.reading import read_target
 from ...files.recordings.writing import write_csv
@@ -15,7 +14,7 @@ from ...method.model.coverage import WORTH_A_LINE
 from ...method.model.expected_error import expected_error
 from ...method.model.fitted import Fitted
 from ...method.model.units import units_of
-from .amounts import in_base, limits_in_base, zero_in_base
+from .amounts import in_base, limits_in_base, unit_of_kind, zero_in_base
 from .console import number, say
 from .outputs import check_outputs, staged
 from .recordings import check_kind
@@ -49,7 +48,7 @@ def invert(
     wanted = read_target(target, **reading)
     check_kind(loaded, model, wanted.displacement_unit, wanted.source)
     units, length = units_of(loaded), wanted.displacement_unit
-    played = _unit_to_write(unit, units)
+    played = units.input if unit is None else Quantity(unit_of_kind(unit, f"--unit {unit}", units.input))
     limits = limits_in_base(units, max_voltage, max_slew, max_displacement) | {
         "zero": zero_in_base(zero, length),
         "start_input": in_base(start_input, "--start-input", units.input) or 0.0,
@@ -91,23 +90,6 @@ def _columns(planned: Feedforward, played: Quantity, length: str, input_scale: f
         "infeasible": planned.infeasible,
         "saturated": planned.saturated,
     }
-
-
-def _unit_to_write(unit: str | None, units: Units) -> Quantity:
-    """Return the unit in which the input is written: the one that the user states, otherwise the model's.
-
-    Raises:
-        BadInput: a unit of another kind.
-    """
-    if unit is None:
-        return units.input
-    known = spelt(unit)
-    if known is None or kind_of(known) != kind_of(units.input.unit):
-        raise BadInput(
-            f"--unit {unit}: wrong kind of unit for this model's input; give one of "
-            f"{', '.join(units_of_kind(units.input.unit))}"
-        )
-    return Quantity(known)
 
 
 def _expect(model: Fitted, planned: Feedforward) -> None:

@@ -82,25 +82,29 @@ def is_square(model: Fitted) -> bool:
     return isinstance(model.input_map, SquareInput)
 
 
-def check_kind(model: Fitted, path: str, unit: str, source: str) -> None:
-    """Refuse an output of another kind than the model's, for example volts for a model in metres.
+def check_kind(model: Fitted, path: str, unit: str, source: str, stem: str = "output") -> None:
+    """Refuse an input or an output of another kind than the model's, for example volts for a model in metres.
 
     Raises:
         BadInput: naming both.
     """
-    own = base_unit(model.origin.displacement_unit)
+    own = base_unit({"input": model.origin.voltage_unit, "output": model.origin.displacement_unit}[stem])
     if base_unit(unit) != own:
-        raise BadInput(f"{source}: output in {unit}, but {path} predicts {own}; choose the column with --output-column")
+        raise BadInput(
+            f"{source}: {stem} in {unit}, but {path} {'predicts' if stem == 'output' else 'needs'} {own}; choose the "
+            f"column with --{stem}-column, or give the column's --{stem}-unit"
+        )
 
 
 def check_belongs(model: Fitted, path: str, records: Sequence[Record]) -> None:
-    """Refuse records whose output is of another kind than the model's; warn about another sampling rate.
+    """Refuse records whose input or output is of another kind than the model's; warn about another sampling rate.
 
     Raises:
         BadInput: naming record and model.
     """
     for record in records:
         check_kind(model, path, record.displacement_unit, record.source)
+        check_kind(model, path, record.voltage_unit, record.source, "input")
     warn_of_rate(model, path, "the recordings are", records[0].dt)
 
 

@@ -17,7 +17,7 @@ from ...method.simulate.voltage_only import rollout
 from .amounts import zero_in_base
 from .console import Table, print_table, say
 from .outputs import check_outputs, csv_names, staged
-from .recordings import warn_of_rate
+from .recordings import check_kind, warn_of_rate
 
 
 def simulate(model, voltages, out, zero, json_file, reading) -> None:
@@ -50,10 +50,10 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
                 voltage = drive.voltage, drive.voltage_unit
                 write_signals(stage / file, drive.time, voltage=voltage, displacement=(x, unit))
     header = ("drive", "samples", "begins", f"lowest ({unit})", f"highest ({unit})", "")
-    table = []
-    for name, row in rows.items():
-        reached = row["lowest"], row["highest"], "diverged" if row["diverged"] else ""
-        table.append((name, str(row["samples"]), row["begins"], *reached))
+    table = [
+        (n, str(row["samples"]), row["begins"], row["lowest"], row["highest"], "diverged" * row["diverged"])
+        for n, row in rows.items()
+    ]
     print_table(Table(header, table))
     if all(row["diverged"] for row in rows.values()):
         raise ComputationFailed(f"{model} diverged under every input; stay within the input range of its recordings")
@@ -61,22 +61,20 @@ def simulate(model, voltages, out, zero, json_file, reading) -> None:
 
 def _tell(model: Fitted, path: str, drives: Sequence[Drive]) -> None:
     """Print what was recognised in the files, and which voltages lie outside the model's range."""
+    (low, high), units = map(float, model.domain.voltage_range), units_of(model)
     for drive in drives:
         for line in drive.remarks:
             say(line)
-    (low, high), units = model.domain.voltage_range, units_of(model)
-    for drive in drives:
+        check_kind(model, path, drive.voltage_unit, drive.name, "input")
         warn_of_rate(model, path, f"{drive.name} is", drive.dt)
+        least, most = float(drive.voltage.min()), float(drive.voltage.max())
         # 0.1 %: the voltages of a file are rounded
-        if drive.voltage.max() > high * 1.001 or drive.voltage.min() < low - 0.001 * abs(high):
-            seen, played = (
-                units.input.range_text(float(least), float(most), 6)
-                for least, most in ((low, high), (drive.voltage.min(), drive.voltage.max()))
-            )
-            times = max(drive.voltage.max() - high, low - drive.voltage.min()) / max(high - low, 1e-300)
+        if most > high * 1.001 or least < low - 0.001 * abs(high):
+            times = max(most - high, low - least) / max(high - low, 1e-300)
             say(
-                f"warning: {drive.name} plays {played}, the recordings of {path} cover {seen}. The model extrapolates "
-                f"by {100 * times:.2g} % of that range's width"
+                f"warning: {drive.name} plays {units.input.range_text(least, most, 6)}, the recordings of {path} cover "
+                f"{units.input.range_text(low, high, 6)}. The model extrapolates by {100 * times:.2g} % of that "
+                "range's width"
             )
         if words := untrained_words(model, "input", untrained(model, "input", drive.voltage, drive.dt)):
             say(f"warning: {drive.name}: {words}")
