@@ -75,6 +75,8 @@ def test_mixed_sets_are_refused(tmp_path):
     assert "b.csv" in message
     save_csv(tmp_path / "b.csv", {"time_s": TIME, "voltage_V": VOLTAGE, "displacement_mV": OUTPUT})
     assert "mV" in refused(tmp_path)
+    save_csv(tmp_path / "b.csv", {"time_s": TIME, "input_percent": VOLTAGE, "displacement_mm": OUTPUT})
+    assert "input in percent, but" in refused(tmp_path)
     save_csv(tmp_path / "b.csv", {"time_s": TIME, "voltage_kV": VOLTAGE / 1000, "displacement_um": OUTPUT})
     assert len(read(tmp_path)) == 2
 

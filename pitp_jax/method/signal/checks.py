@@ -139,8 +139,7 @@ def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[in
     if far.any():
         raise BadInput(
             f"{source}: column {column!r}, {place(_first(far))}: {time[far][0]:.4g} s is not a possible time; correct "
-            "it, or give "
-            "--time-unit"
+            "it, or give --time-unit"
         )
 
 

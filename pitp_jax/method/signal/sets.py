@@ -1,7 +1,6 @@
-"""Check the rate and output of several records, find the start of the session clock, and group records by length."""
+"""Check the rate and units of several records, find the start of the session clock, and group records by length."""
 
 from collections.abc import Callable, Sequence
-from os import PathLike
 
 import numpy as np
 
@@ -13,45 +12,45 @@ RATE_TOLERANCE = 1e-3  # relative difference of dt within one set
 ABSOLUTE = 1e6  # s, eleven days: a clock that shows more did not start with the session
 
 
-def check_records(records: object, *, empty: bool = False) -> None:
-    """Refuse any argument that is not a list of records; `empty`: whether an empty list is accepted.
+def check_records(records: object) -> None:
+    """Refuse any argument that is not a list of records.
 
     Raises:
         BadInput: naming the given and the accepted types.
     """
     if isinstance(records, Record):
         raise BadInput(f"{_place(records)}: give a list of records, even for a single one")
-    if isinstance(records, (str, PathLike)):
-        raise BadInput(f"{str(records)!r} is not a list of records; give pitp.read({str(records)!r})")
     if not isinstance(records, Sequence):
         raise BadInput(f"a {type(records).__name__} is not a list of records; give the result of pitp.read")
     for record in records:
         if not isinstance(record, Record):
             raise BadInput(f"a {type(record).__name__} among the records is not a record; give the result of pitp.read")
-    if not records and not empty:
+    if not records:
         raise BadInput("the list holds no records; give at least one")
 
 
 def check_set(records: Sequence[Record] | Record) -> None:
-    """Refuse records that differ in sampling rate or in the kind of output.
+    """Refuse records that differ in sampling rate or in the kind of input or output.
 
     Raises:
         BadInput: with the record that does not fit.
     """
     check_records(records)
     assert not isinstance(records, Record)
-    first = records[0]
-    for record in records[1:]:
+    first, *others = records
+    for record in others:
         if abs(record.dt / first.dt - 1.0) > RATE_TOLERANCE:
             raise BadInput(
                 f"{_place(record)}: time column: sampled every {record.dt:.6g} s, but {_place(first)} every "
                 f"{first.dt:.6g} s; resample one or give them in separate calls"
             )
-        if base_unit(record.displacement_unit) != base_unit(first.displacement_unit):
-            raise BadInput(
-                f"{_place(record)}: output in {record.displacement_unit}, but {_place(first)} in "
-                f"{first.displacement_unit}; choose the same kind with --output-column"
-            )
+        for stem, field in (("input", "voltage_unit"), ("output", "displacement_unit")):
+            unit, own = getattr(record, field), getattr(first, field)
+            if base_unit(unit) != base_unit(own):
+                raise BadInput(
+                    f"{_place(record)}: {stem} in {unit}, but {_place(first)} in {own}; choose the same kind with "
+                    f"--{stem}-column"
+                )
 
 
 def _place(record: Record) -> str:
