@@ -138,6 +138,14 @@ def test_coloured_noise_is_told_from_white(good):
     assert [n for n, row in found.records.items() if row.noise_colour == "coloured"] == ["sine2"]
 
 
+def test_an_input_of_another_kind_is_left_out_of_the_set(good):
+    """Percent of a valve beside volts would be fitted as volts."""
+    percent = replace(good[1], name="percent", voltage=good[1].voltage / 60, voltage_unit="percent")
+    found = pitp.check([*good, percent])
+    assert list(found.problems) == ["percent"] and "input is in percent" in found.problems["percent"][-1]
+    assert found.input_map == pitp.check(good).input_map
+
+
 @pytest.mark.slow
 def test_whatever_is_given_the_json_is_strict_and_every_record_is_there(good):
     flat = pitp.Record("flat", TIME, 0 * TIME, NOISE * np.random.default_rng(1).standard_normal(SAMPLES))

@@ -133,3 +133,11 @@ def test_interrupted_identify_writes_nothing(call, bench, tmp_path, monkeypatch)
     monkeypatch.setattr("pitp_jax.application.commands.identify.run_identify", stop)
     assert call("identify", bench / "records", "--out", tmp_path / "m")[0] == 130
     assert tree(tmp_path) == []
+
+
+def test_validation_with_another_kind_of_input_is_refused(call, bench, tmp_path):
+    percent = write_record(tmp_path / "percent.csv", *motion("sine2"))
+    percent.write_text(percent.read_text().replace("voltage_V", "input_percent"))
+    out = tmp_path / "n.pitp"
+    assert "input in percent" in refused(call("identify", bench / "records", "--validate", percent, "--out", out))
+    assert not out.exists()

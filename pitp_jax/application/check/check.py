@@ -9,6 +9,7 @@ A record that cannot be used is reported and left out of the checks of the set, 
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from statistics import mode
 
 import numpy as np
 
@@ -101,7 +102,7 @@ def checked(records: Sequence[Record], refused: Mapping[str, str]) -> Check:
     records = [masked(r) for r in _named(records)]
     own = {r.name: facts(r) for r in records}
     apart = _apart(records)
-    # Only these describe the set: one rate, one kind of output, moving under an input.
+    # Only these describe the set: one rate, one kind of input and output, moving under an input.
     used = [r for r in records if r.name not in apart and own[r.name].band_hz is not None and moves(r)]
     start = _start(used)
     used = [replace(r, voltage=r.voltage - start) for r in used]
@@ -144,21 +145,21 @@ def _named(records: Sequence[Record]) -> list[Record]:
 
 
 def _apart(records: Sequence[Record]) -> dict[str, str]:
-    """Return the records that differ from most in sampling rate or kind of output, by name, with the reason."""
+    """Return the records that differ from most in sampling rate or in a kind of unit, by name, with the reason."""
     if not records:
         return {}
     # in steps of the tolerance, so that equal ones are counted together
     rates = [round(np.log(r.dt) / RATE_TOLERANCE / 2) for r in records]
-    most = Counter(rates).most_common(1)[0][0]
-    dt = next(r.dt for r, rate in zip(records, rates, strict=True) if rate == most)
-    kind = Counter(base_unit(r.displacement_unit) for r in records).most_common(1)[0][0]
-    apart = {}
-    for r in records:
+    dt = records[rates.index(mode(rates))].dt
+    kinds = [(base_unit(r.voltage_unit), base_unit(r.displacement_unit)) for r in records]
+    most, apart = mode(kinds), {}
+    for r, kind in zip(records, kinds, strict=True):
         if abs(r.dt / dt - 1) > RATE_TOLERANCE:
             apart[r.name] = f"sampled at {1 / r.dt:.6g} Hz, most others at {1 / dt:.6g} Hz; use it in a separate call"
-        elif base_unit(r.displacement_unit) != kind:
+        elif kind != most:
             apart[r.name] = (
-                f"its output is in {r.displacement_unit}, but the others are in {kind}; give --output-column"
+                f"its input is in {r.voltage_unit} and its output in {r.displacement_unit}, most others in "
+                f"{' and '.join(most)}; give --input-column or --output-column"
             )
     return apart
 

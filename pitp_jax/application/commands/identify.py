@@ -11,7 +11,7 @@ from ..pages.tables import scores as scores_table
 from .console import number, print_table, say
 from .outputs import REPORT, check_outputs, staged
 from .predict import scored
-from .recordings import read_records, warn
+from .recordings import check_belongs, read_records, warn
 from .reports import print_beginnings, print_model
 
 
@@ -41,6 +41,8 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
     apart = read_records(validate, reading, square=input_map)
     identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     summary = describe(identified.model)
+    if apart:
+        check_belongs(identified.model, "the identified model", apart)
     scores = scored(apart, predict(identified.model, apart)) if apart else {}
     beginnings = {name: vars(b) for name, b in identified.beginnings.items()}
     value = {**summary, "orders": [*map(vars, identified.orders)], "rest": identified.rest, "beginnings": beginnings,
