@@ -58,6 +58,9 @@ def test_every_factor_is_pints(unit, registry):
         ("length [nm]", "nm", None),
         ("acc (m/s²)", "m/s2", None),
         ("angle_deg", "deg", None),
+        ("theta_m", None, None),
+        ("cmd_m", "m", None),
+        ("pos_m", "m", None),
         ("101 <HV> (VDC)", "V", None),
         ("Weg..mm.", "mm", None),
         ("HV, kV (LGR S/N: 10, SEN S/N: 11)", "kV", None),
@@ -746,3 +749,11 @@ def test_a_zone_that_changes_moves_no_time(tmp_path):
     begin = start.replace(tzinfo=UTC).timestamp()
     # a float resolves 0.24 us of the seconds since 1970
     np.testing.assert_allclose(read(tmp_path / "a.csv")[0].time - begin, TIME, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("command", "measured"), [("Sollwert", "Istwert"), ("pos_cons", "pos_mes"), ("control_position", "position")]
+)
+def test_commands_in_other_words_are_inputs(tmp_path, command, measured):
+    path = csv_of(tmp_path / "a.csv", ("time_s", f"{measured} [deg]", f"{command} [deg]"), (TIME, OUTPUT, VOLTAGE))
+    same(read(path)[0], np.radians(VOLTAGE), np.radians(OUTPUT))

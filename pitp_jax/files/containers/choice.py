@@ -13,7 +13,7 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, spelt, to_base, units_of, written
-from .names import Header, read_header
+from .names import Header, read_header, roles_of
 from .options import OPTIONS, ReadOptions
 from .refusal import Refused, shortened
 from .table import Column, Table
@@ -300,7 +300,7 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
 
     A command of another unit competes with a voltage, unless that is named a command too.
     """
-    bare = [s for s in data if role in s.header.roles and s.kind is None and s.unknown is None]
+    bare = [s for s in data if role in roles_of(s.header.words) and s.kind is None and s.unknown is None]
     commands = [s for s in data if role == "input" and s.header.commanded]
     if commands and not any(s in commands for s in united):
         return [*united, *commands]

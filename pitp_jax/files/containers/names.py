@@ -16,15 +16,19 @@ _VOCABULARY = {
     "elapsed clock millis micros x_value x_werte время 時間 时间 時刻",
     "input": "u v voltage volt volts spannung hochspannung tension voltaje drive hv input inputs in vin amplifier amp "
     "excitation eingang anregung actuation monitor command cmd control set setpoint desired des target reference ref "
-    "goal soll demand duty pwm throttle ctrl action qfrc heater potential напряжение 電圧 电压 電圧値",
+    "goal soll sollwert consigne cons consigna demand duty pwm throttle ctrl action qfrc heater potential напряжение "
+    "電圧 电压 電圧値",
     "output": "x y z d w q displacement disp position pos weg auslenkung verschiebung abstand hub laser stroke "
     "deflection distance output outputs out motion extension elongation height hoehe deplacement response lvdt sensor "
-    "ausgang vout angle theta encoder qpos qvel measured actual ist feedback перемещение смещение 変位 位移",
+    "ausgang vout angle theta encoder qpos qvel measured actual ist istwert mesure mes feedback перемещение "
+    "смещение 変位 位移",
 }
 _WORDS = {role: frozenset(words.split()) for role, words in _VOCABULARY.items()}
 _COMMANDS = frozenset(
-    "command cmd control set setpoint desired des goal target soll demand ctrl action duty pwm".split()
+    "command cmd control set setpoint desired des goal target soll sollwert consigne cons consigna demand ctrl action "
+    "duty pwm".split()
 )  # a command even beside the word "position"
+_TURNING = frozenset("angle theta encoder q qpos".split())
 _PORTS = frozenset(
     "input inputs output outputs in out vin vout eingang ausgang".split()
 )  # of the DAQ or of the actuator, which is unknown
@@ -58,11 +62,6 @@ class Header:
     unknown: str | None
     words: frozenset[str]
     role: str | None
-
-    @property
-    def roles(self) -> list[str]:
-        """Return every role (time, input, output) that a word of the name indicates."""
-        return _roles(self.words)
 
     @property
     def commanded(self) -> bool:
@@ -127,7 +126,9 @@ def _parted(text: str) -> tuple[str, str | None, str | None]:
     if not said and unit in _ROLE_OF and len(ending[2]) == 1 + 2 * (unit == "min"):
         words = _words(stem)
         is_plausible = _role(words) == _ROLE_OF[unit] if _ROLE_OF[unit] else words & _OWN[unit]
-        if not is_plausible and not (unit == "m" and words & _COMMANDS):  # a commanded position
+        if unit == "m":  # also a commanded position, but theta_m is the angle of a motor
+            is_plausible = (is_plausible or words & _COMMANDS) and not words & _TURNING
+        if not is_plausible:
             return text, None, None  # `Channel A` is not a current
     return stem, unit, None
 
@@ -157,7 +158,8 @@ def _words(stem: str) -> frozenset[str]:
     return frozenset(words | far_east)
 
 
-def _roles(words: frozenset[str]) -> list[str]:
+def roles_of(words: frozenset[str]) -> list[str]:
+    """Return every role (time, input, output) that a word of a name indicates."""
     return [role for role, known in _WORDS.items() if words & known]
 
 
@@ -168,5 +170,5 @@ def _role(words: frozenset[str]) -> str | None:
     if words & _COMMANDS:
         return "input"
     # `input displacement` indicates two roles, so none
-    named = _roles(words)
+    named = roles_of(words)
     return named[0] if len(named) == 1 else None
