@@ -186,7 +186,7 @@ def test_a_trace_of_a_plc_is_read_by_its_variables(tmp_path):
     assert "--time-unit" in refused(tmp_path / "a.csv", **columns, input_unit="percent")
 
 
-@pytest.mark.parametrize("name", ["policy.pt", "policy.pth", "run.pkl", "old.xls"])
+@pytest.mark.parametrize("name", ["policy.pt", "policy.pth", "run.pkl", "old.xls", "log.jsonl", "run.zip"])
 def test_files_that_are_not_read_are_named_with_what_to_save(tmp_path, name):
     (tmp_path / name).write_bytes(b"PK\x03\x04")
     for path in (tmp_path, tmp_path / name):
