@@ -697,6 +697,7 @@ def test_an_empty_name_at_the_end_shifts_no_name(tmp_path):
     [
         (("duty_percent", "pos_mm", "battery_voltage_V"), "percent"),
         (("current [A]", "position [mm]", "Vbus [V]"), "A"),
+        (("control mode", "position [mm]", "motor voltage [V]"), "V"),
         (("cmd [%]", "position [mm]", "supply [V]"), None),
         (("pressure_set_kPa", "displacement_mm", "valve_V"), None),
     ],

@@ -27,7 +27,6 @@ _WORD = {
     "voltage": "input (voltage_V, input_rad, ...)",
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
-_WRONG = np.log(300)  # between clocks of one recording, of which one has a wrong unit
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
 _COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())
@@ -268,7 +267,7 @@ def _check_clock(table: Table, seen: Sequence[_Seen], clock: Choice) -> None:
         stamps = _values(table, s.place)
         if _ticks(time) and _ticks(stamps):
             long, dated = (np.nanmax(v) - np.nanmin(v) for v in (to_base(time, clock.unit), stamps))
-            if abs(np.log(long / dated)) > _WRONG:
+            if abs(np.log(long / dated)) > np.log(300):  # no drift, but a wrong unit
                 why = f"column {clock.name!r} lasts {long:.3g} s in {clock.unit}, but {s.column.name!r} {dated:.3g} s"
                 raise Refused(f"{why}; give --time-unit or another --time-column", {"--time-column": s.column.name})
 
@@ -301,7 +300,7 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
     A command of another unit competes with a voltage, unless that is named a command too.
     """
     bare = [s for s in data if role in roles_of(s.header.words) and s.kind is None and s.unknown is None]
-    commands = [s for s in data if role == "input" and s.header.commanded]
+    commands = [s for s in data if role == "input" and s.header.commanded and s.kind]
     if commands and not any(s in commands for s in united):
         return [*united, *commands]
     if any(s.role == role and not s.header.words & _DAQ for s in united):

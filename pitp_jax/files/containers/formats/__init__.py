@@ -39,7 +39,6 @@ _UNREAD = {  # suffix: what it is, and what to save instead
         ".m",
         ".json",
         ".jsonl",
-        ".feather",
         ".zip",
     ): "not read; export its signals as CSV, MAT or MCAP",
 }
