@@ -79,10 +79,11 @@ TRIED = {
     "A likely reason: its root acts from x = 0 on, and no recording shows where that is. The linear model puts it at "
     "a level of -6.3 V, from where the root of the outflow is almost a line. A root that starts with the slope of the "
     "linear model at the mean level (six curvatures, with and without a stop) leaves 0.47 V of the training recording, "
-    "as the linear model does.",
+    "as the linear model does. Two tanks with roots, fitted by hand to all readings, leave 0.69 V of the test "
+    "recording, and 0.57 V with an overflow of the upper tank: its level has no sensor.",
     "bouc_wen": "In the run before (9fa4a629) the same way had 40.2e-5 m on the multisine: its start, in motion, was "
     "called rest, because a hysteresis loop that starts without force fitted it hardly better. Since then all states "
-    "of a moving start are estimated, which that test error prompted. The other sets were run before this change.",
+    "of a moving start are estimated, which that test error prompted.",
     "hasel_peano": "Tried on the first 70 % of each recording: `fit` 20 / 9.5 / 115 % on the last parts of steps, 3 "
     "and 7 Hz, `identify` 120 / 83 / 47 %. The voltage grows along each recording, so these parts ask"
     " for an amplitude that was never seen; a whole recording is left out since.",

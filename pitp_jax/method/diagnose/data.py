@@ -168,7 +168,7 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
         start = np.full((1, model.order), float(not rest))
         voltage = film_of(replace(model, effects=()), r.voltage[None], r.dt, start)[0]  # behind the electrode's lag
         film = _film(voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
-        force = ramped(voltage, held) if square else voltage
+        force = ramped(voltage, linear=model.hold == "foh") if square else voltage
         x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
         if film is not None:
             force = film.force(np.arange(len(x)) * r.dt * k)
@@ -198,14 +198,14 @@ def _film(voltage: np.ndarray, dt: float, k: int, held: bool, square: bool, rest
     return Film(impulse, dt, -first - late, k * dt, (0.0 if rest else float(force[0]), float(force[-1])))
 
 
-def ramped(voltage: np.ndarray, held: bool) -> np.ndarray:
-    """Return V|V| such that straight lines between samples have the same area as the square of a linear V.
+def ramped(voltage: np.ndarray, linear: bool) -> np.ndarray:
+    """Return V|V|, for a `linear` V such that straight lines between samples have the same area as its square.
 
     A ramp from a to b has the mean square (a^2 + a b + b^2) / 3, a straight line (a^2 + b^2) / 2: (b - a)^2 / 6 more.
     It is subtracted from the larger end. Otherwise a step within a record would come a sixth of a sample early.
     """
     force = voltage * np.abs(voltage)
-    if held:
+    if not linear:
         return force
     # the larger end, because the smaller may be zero, and a negative force would be a pull
     rise, larger = np.diff(voltage) ** 2 / 6, np.abs(voltage[1:]) >= np.abs(voltage[:-1])

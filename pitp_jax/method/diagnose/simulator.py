@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..model.model import Model, linear_model
+from ..numerics.intersample import between
 from ..simulate import ports
 from ..simulate.decoder import settled_state, substep
 from ..simulate.free_runs import free_runs
@@ -174,7 +175,7 @@ class Simulator:
     def _inputs(self, slots: np.ndarray, records: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
         """Return delayed voltages at the ends of the steps, (columns, steps + 1), and the column of each simulation.
 
-        V|V| is linear in between.
+        V|V| is linear in between; a band-limited input, which is not linear between samples, is interpolated first.
         """
         # one delayed input for all simulations with the same record, delay and lag of the input column
         rows = np.stack([records, _delay(slots), slots[:, INDEX[MONITOR]]], 1)
@@ -186,8 +187,12 @@ class Simulator:
                 force = drive.film.force(place * drive.dt - delay)
                 columns.append(root(force) if self.square else force)
                 continue
-            force = self.signed_force(drive.voltage)
-            column = np.interp(place - delay / drive.dt, np.arange(len(force)), force)
+            voltage, each = drive.voltage, 1
+            if self.model.hold == "bandlimited":  # linear only over an eighth of a step
+                each = 4 * self.substeps
+                voltage = between(voltage, self.model.hold, np.arange(each) / each, np).reshape(-1)
+            force = self.signed_force(voltage)
+            column = np.interp(each * (place - delay / drive.dt), np.arange(len(force)), force)
             column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))
         return np.stack(columns), which.ravel()
