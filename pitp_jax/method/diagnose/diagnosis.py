@@ -33,7 +33,7 @@ from .gap import (
     percent,
     spans,
 )
-from .handing_back import hand_back, package_error, with_own_errors
+from .handing_back import hand_back, with_own_errors
 from .library import AHEAD, CHANGED, CORE, EARLY, FREE, INDEX, LATE, MONITOR, SHIFT
 from .next_experiment import Experiment, separate
 from .outcome import Diagnosis
@@ -124,12 +124,12 @@ def diagnose(
         return early
     outcome, fault, records = _searched_without_fault(model, records, refit != "no", exclude, limit)
     notes = (*fault.remarks(records[0].dt), *notes)
-    search, before, interrupted = outcome.search, outcome.before, outcome.interrupted
+    search, interrupted = outcome.search, outcome.interrupted
     case, own, source = search.case, outcome.own, outcome.source
     noise = beside_noise(case, 0.0, case.thinned)
     limit.begin("comparing the best set")
     decision, (handed, made, names_back) = _checked(
-        search, decide(search, outcome.floor, noise, outcome.distinct, outcome.usual), model, records, before
+        search, decide(search, outcome.floor, noise, outcome.distinct, outcome.usual), model, records
     )
     failed: list[str] = []
 
@@ -254,9 +254,9 @@ def _searched_without_fault(
     return outcome, fault, records
 
 
-def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record], before: float):
+def _checked(search: Search, decision: Decision, model: Model, records: Sequence[Record]):
     """Choose the returned model; withdraw the reported effects if this model lacks them or is not better by GAIN."""
-    handed = hand_back(search, decision, model, records, before)
+    handed = hand_back(search, decision, model, records)
     why, ranges = "", spans(search)
     if not set(decision.said) <= set(handed[0].labels):
         why = _OTHER if handed[0].names else _NO_BETTER
@@ -264,7 +264,7 @@ def _checked(search: Search, decision: Decision, model: Model, records: Sequence
         why = _DISAGREE
     if decision.said and why:
         decision = replace(decision, verdict="unknown", said=(), tied={}, reason=why)
-        handed = hand_back(search, decision, model, records, before)
+        handed = hand_back(search, decision, model, records)
     if decision.verdict == "unknown" and handed[2] and not decision.chosen.names:
         decision = replace(decision, reason=_NOT_CERTAIN)
     return decision, handed
@@ -276,7 +276,6 @@ class _Searched:
 
     Attributes:
         distinct: number of distinct excitations of the records that show the gap.
-        before: the nominal's error in the package's free runs.
         own: the nominal's own error, 0 if unknown; source: its origin.
         floor: the error at OWN times which nothing is left to explain; below `own` if a first effect helps there.
         usual: the nominal's error on the records of its identification, in a refit too; 0 if it is no measure of noise.
@@ -285,7 +284,6 @@ class _Searched:
 
     search: Search
     distinct: int
-    before: float
     own: float
     floor: float
     usual: float
@@ -294,9 +292,8 @@ class _Searched:
 
 
 def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, limit: Budget) -> _Searched:
-    case = build_case(model, records)
     began = limit.elapsed
-    before = package_error(model, records)
+    case = build_case(model, records)
     # free runs of all recordings follow the search: of the best hypotheses, and for the report
     limit.reserve = min(_RUNS_AFTER * (limit.elapsed - began), limit.seconds / 2)
     # in a refit the nominal was made from these records, so its error on others is unknown
@@ -322,7 +319,7 @@ def _searched(model: Model, records: Sequence[Record], refit: bool, exclude, lim
     except KeyboardInterrupt:  # hypotheses scored so far are judged; a second interrupt ends the diagnosis
         interrupted = True
         limit.stop("the rest of the search (interrupted)")
-    return _Searched(search, distinct, before, own, floor, usual, source, interrupted)
+    return _Searched(search, distinct, own, floor, usual, source, interrupted)
 
 
 def _folds(case: Case) -> tuple[tuple[str, ...], ...]:

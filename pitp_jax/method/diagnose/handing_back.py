@@ -37,18 +37,18 @@ _SHIFT, _GROWN = 1e-9, 100.0  # scaled shift of an initial state; times that it 
 
 
 def hand_back(
-    search: Search, decision: Decision, model: Model, records, before: float
+    search: Search, decision: Decision, model: Model, records: Sequence[Record]
 ) -> tuple[Hypothesis, tuple, tuple[str, ...]]:
     """Return the largest hypothesis that surely predicts better, and beats the nominal in the package's simulation.
 
     Args:
         search, decision, model, records: of the diagnosis.
-        before: the nominal's error in these free runs, `package_error`.
 
     Returns:
         hypothesis, (model, effects added with their slots), and its parts beyond the nominal.
     """
     alone, whole = decision.alone, cache(lambda: fitter_of_all(search.case, search.fitter))
+    before = package_errors(model, records)
     sets = [decision.chosen]
     if decision.verdict != "no_gap":  # without a gap an effect would fit noise
         sets = [_largest(search, decision), *sets, *search.level(1)[:2]]
@@ -62,13 +62,14 @@ def hand_back(
             h = replace(h, fit=at_their_rate(h.fit, whole()))
         # in the package's own parts
         made, added = model_of(search.case.nominal, h.fit.slots, search.case.model, search.scale)
-        made = replace(made, domain=made.domain.driven_by(records))
-        made, after = stable(made, records, before)
-        if after < before and is_bounded(made, records) and harms_none(model, made, records):
+        made = with_offset(replace(made, domain=made.domain.driven_by(records)), records)
+        made, after = stable(made, records, geometric_mean(before))
+        better = geometric_mean(after) < geometric_mean(before) and harms_none(before, after, records)
+        if better and is_bounded(made, records):
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
-            return h, (with_offset(made, records), added), tuple(dict.fromkeys(parts))
+            return h, (made, added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
 
 
@@ -108,23 +109,26 @@ def _largest(search: Search, decision: Decision) -> Hypothesis:
     return best
 
 
-def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, float]:
+def stable(made: Model, records: Sequence[Record], most: float) -> tuple[Model, np.ndarray]:
     """Double the model's integration steps per sample until its error is below `most` and its runs are steady.
 
     It ends where the error no longer falls or after `_DOUBLED` times; a model that no step makes steady keeps its own.
+
+    Returns:
+        the model, and its errors (`package_errors`).
     """
-    first = made, package_error(made, records)
-    error = first[1]
+    first = made, package_errors(made, records)
+    errors = first[1]
     for _ in range(_DOUBLED):
-        steady = is_steady(made, records)
+        steady, error = is_steady(made, records), geometric_mean(errors)
         if steady and error < most:
             break
         finer = replace(made, substeps=2 * made.substeps)
-        after = package_error(finer, records)
-        if steady and np.isfinite(error) and after > (1 - rules.GAIN) * error:
+        after = package_errors(finer, records)
+        if steady and np.isfinite(error) and geometric_mean(after) > (1 - rules.GAIN) * error:
             break
-        made, error = finer, after
-    return first if first[1] < most and not is_steady(made, records) else (made, error)
+        made, errors = finer, after
+    return first if geometric_mean(first[1]) < most and not is_steady(made, records) else (made, errors)
 
 
 def is_steady(model: Model, records: Sequence[Record]) -> bool:
@@ -147,11 +151,10 @@ def is_bounded(made: Model, records: Sequence[Record]) -> bool:
     return all(np.isfinite(rollout(made, r.voltage * up, r.dt, begins="rest")).all() for r, up in played)
 
 
-def harms_none(nominal: Model, made: Model, records: Sequence[Record]) -> bool:
-    """Return whether no recording has more than HARM times its error with the nominal, and all pooled have no more."""
-    spans = np.array([r.span for r in records])
-    before, after = (package_errors(m, records) / spans for m in (nominal, made))
-    return bool(np.all(after <= rules.HARM * before) and np.sum(after**2) <= np.sum(before**2))
+def harms_none(before: np.ndarray, after: np.ndarray, records: Sequence[Record]) -> bool:
+    """Return whether no recording has more than HARM times its error before, and all pooled have no more."""
+    pooled = [np.sum((errors / [r.span for r in records]) ** 2) for errors in (after, before)]
+    return bool(np.all(after <= rules.HARM * before) and pooled[0] <= pooled[1])
 
 
 def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Record]) -> Fitted:
@@ -177,11 +180,6 @@ def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Reco
             errors=error_table([t.augmented for t in traces], errors, records[0].dt),
         ),
     )
-
-
-def package_error(model: Model, records: Sequence[Record]) -> float:
-    """Return the geometric mean over records of the free-run error, offset removed; infinite if a run diverges."""
-    return geometric_mean(package_errors(model, records))
 
 
 def package_errors(model: Model, records: Sequence[Record]) -> np.ndarray:

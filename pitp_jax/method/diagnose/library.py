@@ -357,18 +357,17 @@ def slots_of(model: Model) -> tuple[np.ndarray, Model | None]:
 def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale) -> tuple[Model, list[tuple]]:
     """Build the model with these fitted parameters; return it and the added effects with parameter names.
 
-    A model of order 3 or 4 contains its lag or filter in its coefficients, which are changed. A trained model keeps its
-    order: if a fit adds a mass that its core lacks, its coefficients stay.
+    A model of order 3 or 4 contains its lag or filter in its coefficients, which are changed. With an effect behind the
+    input its core has order two, as in the search, and the lag or filter follows: they do not commute. A model with
+    parts that no slot holds keeps its order, and its coefficients if a fit adds a mass that its core lacks.
     """
-    slots, order = slots.copy(), model.order
+    slots, order, whole = slots.copy(), model.order, slots_of(model)[1] is not None
     for k in (DELAY, LAG, FILTER):  # a value fitted to almost zero counts as absent
         slots[INDEX[k]] *= slots[INDEX[k]] > 0.01 * model.dt
     slots[:3] = _no_faster(slots[:3], 2 / model.dt)
     same = bool(((slots[:3] > 0) == (nominal[:3] > 0)).all())
-    # a law of the acceleration needs a core of order two, as the search has it, with the lag or the filter behind it
-    same &= order < 3 or not any(r.port == "M" and r.resolved and is_on(r, slots) for r in ROWS)
-    trained = not isinstance(model.encoder, ConstantEncoder)
-    if order <= _MOST_POLES and (same or trained):
+    behind = any(r.port != "IN" and not {LAG, FILTER} & {*slots_of_row(r)} and is_on(r, slots) for r in ROWS)
+    if order <= _MOST_POLES and (whole or (same and (order < 3 or not behind))):
         inside = within_coefficients(nominal, order)
         slots[inside] = np.maximum(slots[inside], model.dt / 2)
         if not same:
@@ -396,13 +395,13 @@ def model_of(nominal: np.ndarray, slots: np.ndarray, model: Model, scale: Scale)
     a = a if a[2] > 0 else a[:2]
     state = size[: len(a)] if len(size) >= len(a) else size[0] / scale.tau ** np.arange(len(a))
     plain = linear_model(
-        a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output, hold="foh",
-        substeps=model.substeps, domain=model.domain,
+        a, input_map=model.input_map, state_scale=state, force_scale=force, output=model.output,
+        hold="bandlimited" if model.hold == "bandlimited" else "foh", substeps=model.substeps, domain=model.domain,
     )  # fmt: skip
     simulated = tuple(size[0] * np.cumprod([1.0, *rates])), force
     added = [(in_scales(e, simulated, (state, force)), names) for e, names in effects_of(slots, scale)]
-    whole = replace(plain, effects=tuple(e for e, _ in added))
-    return cast(Model, Fitted(whole, fitted_of(model).origin.of_other_coefficients())), added
+    made = replace(plain, effects=tuple(e for e, _ in added))
+    return cast(Model, Fitted(made, fitted_of(model).origin.of_other_coefficients())), added
 
 
 def within_coefficients(nominal: np.ndarray, order: int) -> list[int]:

@@ -121,8 +121,8 @@ def parts_of(search: Search, decision: Decision, handed: Hypothesis, made: tuple
     changed = [numbers.is_changed(_strengths(search, n)) for n in handed.names]
     parts = [_rate_part(search, decision, handed, *one) for one in zip(handed.names, drafts, changed, strict=True)]
     parts.sort(key=lambda p: -p.fraction)
-    # coefficients refitted with every effect close nothing of the refitted model's error
-    beside = [(e, slots) for n, e, slots in effects if n not in handed.names]
+    # coefficients refitted with every effect close nothing of the refitted model's error; the nominal's own lag is none
+    beside = [(e, slots) for n, e, slots in effects if n not in handed.names and {*slots} & {*handed.fit.free}]
     along = [Part(e.name, e.form, numbers.of([(e, slots)]), 0.0, None, "none") for e, slots in beside]
     claimed = {k for name in handed.names for k in _own_slots(search, name)}
     moved = numbers.coefficients([k for k in search.movable if k not in claimed])

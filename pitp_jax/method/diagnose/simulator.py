@@ -187,11 +187,9 @@ class Simulator:
                 force = drive.film.force(place * drive.dt - delay)
                 columns.append(root(force) if self.square else force)
                 continue
-            voltage, each = drive.voltage, 1
-            if self.model.hold == "bandlimited":  # linear only over an eighth of a step
-                each = 4 * self.substeps
-                voltage = between(voltage, self.model.hold, np.arange(each) / each, np).reshape(-1)
-            force = self.signed_force(voltage)
+            each = 4 * self.substeps if self.model.hold == "bandlimited" else 1  # values of a sample
+            fine = between(drive.voltage, self.model.hold, np.arange(each) / each, np)
+            force = self.signed_force(fine.reshape(-1))
             column = np.interp(each * (place - delay / drive.dt), np.arange(len(force)), force)
             column = root(column) if self.square else column
             columns.append(column if drive.before is None else self._jumped(column, drive, delay))
