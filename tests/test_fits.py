@@ -328,6 +328,18 @@ def test_a_law_of_acceleration_starts_where_the_records_reach_it(nominal):
     assert best.value("slack: free fall, inverse") == pytest.approx(inverse, rel=0.1)
 
 
+@pytest.mark.parametrize("gain", [-0.09, 0.12])
+def test_a_gain_of_either_sign_is_foreseen(nominal, gain):
+    """From a start of the other sign one step ends halfway, and twelve other effects were fitted instead."""
+    records = play(replace(nominal, effects=(effect("sensor_gain", "share", jnp.asarray(gain)),)), noise=0.0)
+    search = Search(build_case(nominal, records), False)
+    starts = [search._started(search.base.fit, form) for form in search.library if form.name == "sensor_gain"]
+    costs = search.fitter.foreseen(starts, [search.base.fit] * len(starts))
+    before = search.fitter._cost(search.base.fit.residuals, fit.PREVIEW)
+    samples = sum(rows.sum() for rows in search.case.screened())
+    assert np.exp((min(costs) - before) / samples) < 1e-3  # of the mean square error
+
+
 def test_a_returned_model_takes_steps_that_its_friction_can_follow():
     """A finger at 60 Hz behind its valve: steep friction chatters at two steps a sample, and rounding grows."""
     steep = linear_model(
@@ -340,8 +352,8 @@ def test_a_returned_model_takes_steps_that_its_friction_can_follow():
     x = model_runs(replace(steep, substeps=32), drive[None], 1 / 60, np.asarray(rest_state(steep))[None])[1][0]
     y = 0.7 * (x + 1e-3 * np.random.default_rng(0).standard_normal(len(x)))
     records = [pitp.Record("r", time, drive, y)]
-    made, error = stable(steep, records, np.inf)
-    assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(error)
+    made, errors = stable(steep, records, np.inf)
+    assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(errors).all()
 
 
 def test_a_held_input_is_held_at_the_rate_of_the_recordings(linear):

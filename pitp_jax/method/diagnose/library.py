@@ -228,7 +228,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "backlash: play", *((f * x,) for f in (0.02, 0.04, 0.1, 0.2, 0.5))
     yield "backlash: coasting", (0.1 * x, 0.05 / tau), (0.1 * x, 0.5 / tau)
     yield "mullins: exponential", (0.15, 0.5 * x)
-    yield "sensor_gain: share", (0.05,)
+    yield "sensor_gain: share", (0.2,), (-0.2,)
     yield "feedthrough: of the force", (0.05 * x / volts**2,), (-0.05 * x / volts**2,)
     yield "feedthrough: of the input", (0.05 * x / volts,), (-0.05 * x / volts,)
     by_place = [(f * damping / x, 0, 0) for f in (-0.3, 0.5)] + [(0, f * damping / x**2, 0) for f in (0.3, 2.0)]
