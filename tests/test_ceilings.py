@@ -14,12 +14,12 @@ import pitp_jax
 
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
-    "common": 5836, "method/numerics": 9880, "method/signal": 13244, "method/model": 12501, "method/effects": 11143,
+    "common": 5836, "method/numerics": 9880, "method/signal": 13237, "method/model": 12501, "method/effects": 11143,
     "method/simulate": 18944, "method/fit": 7481, "method/identify": 25635, "method/train": 15467,
-    "method/invert": 19007, "method/diagnose": 50966, "method/adapt": 4753, "files/containers": 31847,
-    "files/recordings": 12718, "files/model_file": 5596, "files/export": 11367, "files/mjcf": 8862,
-    "application/commands": 18343, "application/pages": 10941, "application/compare": 10611, "application/plan": 9323,
-    "application/check": 7826, "application/against": 3401, "application/demo": 4012, "application/plant": 2449,
+    "method/invert": 19007, "method/diagnose": 51009, "method/adapt": 4753, "files/containers": 31860,
+    "files/recordings": 12717, "files/model_file": 5596, "files/export": 11367, "files/mjcf": 8862,
+    "application/commands": 18331, "application/pages": 10941, "application/compare": 10611, "application/plan": 9323,
+    "application/check": 7813, "application/against": 3401, "application/demo": 4012, "application/plant": 2449,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
 OPENS, CLOSES = (getattr(tokenize, f"FSTRING_{end}", None) for end in ("START", "END"))  # since Python 3.12

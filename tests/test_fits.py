@@ -353,7 +353,9 @@ def test_a_returned_model_takes_steps_that_its_friction_can_follow():
     y = 0.7 * (x + 1e-3 * np.random.default_rng(0).standard_normal(len(x)))
     records = [pitp.Record("r", time, drive, y)]
     made, errors = stable(steep, records, np.inf)
-    assert not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(errors).all()
+    assert (
+        not is_steady(steep, records) and is_steady(made, records) and made.substeps > 2 and np.isfinite(errors).all()
+    )
 
 
 def test_a_held_input_is_held_at_the_rate_of_the_recordings(linear):

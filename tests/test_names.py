@@ -379,6 +379,20 @@ def test_what_the_structure_of_a_refit_adds_is_named(errors, said, free):
     assert search.base.fit.free == (own if said else search.linears[-1].fit.free)
 
 
+@pytest.mark.parametrize(("flexible", "said"), [(1.0, ("sensor_lag",)), (0.095, ())])
+def test_a_lag_of_the_structure_is_named_where_nothing_else_is_left(monkeypatch, flexible, said):
+    """Of an electrode that charges and discharges unlike, a lag closed a fifth and was `partly` the cause."""
+    monkeypatch.setattr("pitp_jax.method.diagnose.verdict.reference", lambda *_: hypothesis((), flexible).evidence)
+    own, search = ("a0", "a1"), searched(refit=True)
+    search.movable, search.library = own, []
+    found = hypothesis((), 1.0), hypothesis((), 0.1)
+    search.linears = [replace(h, fit=replace(h.fit, free=(*own, *k))) for h, k in zip(found, ((), (LAG,)), strict=True)]
+    search.base = search.linear = search.linears[-1]
+    search.every = {frozenset(): search.base}
+    search.name_structures()
+    assert decide(search, 0.0, 0.0, 6).said == said
+
+
 @pytest.mark.usefixtures("no_reference")
 @pytest.mark.parametrize("diverged", [False, True])
 def test_a_structure_without_a_part_of_the_nominal_is_no_addition_to_it(diverged):
@@ -576,12 +590,18 @@ def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypa
     search.fitter = cast(Any, None)
     monkeypatch.setattr(handing_back, "fitter_of_all", lambda *_: "of all")
     monkeypatch.setattr(handing_back, "at_their_rate", lambda fit, _: fit.again(slots=fit.slots + 1))
-    for name, value in (("model_of", (model, [])), ("stable", (model, 0.5)), ("is_bounded", True)):
+    answers = {
+        "model_of": (model, []),
+        "package_errors": np.ones(1),
+        "stable": (model, np.full(1, 0.5)),
+        "is_bounded": True,
+    }
+    for name, value in answers.items():
         monkeypatch.setattr(handing_back, name, lambda *_, value=value, **__: value)
     time = np.arange(64) * 1e-3
     records = [Record("sine", time, 100 * np.sin(time), np.sin(time))]
     decision = replace(decide(search, 0.0, 0.0, 6), alone=None)
-    back, _, parts = handing_back.hand_back(search, decision, model, records, 1.0)
+    back, _, parts = handing_back.hand_back(search, decision, model, records)
     assert parts == handed
     if handed:  # with the numbers of the fit to every sample
         np.testing.assert_array_equal(back.fit.slots, decision.chosen.fit.slots + 1)

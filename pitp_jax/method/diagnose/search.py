@@ -103,6 +103,8 @@ def needed(chosen: Hypothesis, rival: Hypothesis) -> float:
 class Search:
     """A search over sets of effects; it stores every hypothesis that was tried."""
 
+    structural = False  # whether only the linear structure of a refit has names
+
     def __init__(
         self, case: Case, refit: bool, exclude: Sequence[str] = (), budget: Budget | None = None, own: float = 0.0,
         misfit: float = 0.0,
@@ -520,7 +522,8 @@ class Search:
         own = named.setdefault(frozenset(), self.given)  # where a refit of the nominal's own structure diverged
         before = self.every, self.base, self.linear
         self.every, self.base, self.linear = named, own, own
-        if self.best().names:
+        self.structural = bool(self.best().names)
+        if self.structural:
             self.waiting.clear()
         else:
             self.every, self.base, self.linear = before

@@ -162,6 +162,8 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     if not said:
         return answer("unknown", reason="No single effect makes up a tenth of the reduction.", **seen)
     complete = more < rules.SURE and deepest is None and probability(flexible, chosen.evidence) < rules.LIKELY
+    if search.structural and not (settled or complete):  # a lag then stands in for what no form describes
+        return answer("unknown", reason=_FLEXIBLE, **seen)
     verdict = "explained" if separated and (settled or complete) else "partly"
     return answer(verdict, said, tied, **seen)
 
