@@ -118,6 +118,22 @@ def test_a_packet_that_did_not_come_is_lost(tmp_path):
     assert record.samples == len(true) and record.recognised["lost"] == 10
 
 
+@pytest.mark.parametrize("bits", [8, 16, 32])
+def test_rows_that_a_counter_skips_are_lost(tmp_path, bits):
+    """Without a clock, at a stated rate: the last rows came 0.5 s early. A counter of strides is no clock."""
+    t = np.arange(4000) / 200
+    kept = np.setdiff1d(np.arange(len(t)), np.r_[500:505, 1800:1890, 3000:3005])
+    numbers = ((kept + 2**bits - 700) % 2**bits).astype(float)
+    values = {"command_rad": command(t[kept]), "angle_rad": motion(t[kept])}
+    save_npz(tmp_path / "a.npz", {"seq": numbers, **values})
+    parts = read(tmp_path / "a.npz", rate=200)
+    assert [r.samples for r in parts] == [500, 1295, 1110, 995]
+    assert [float(r.time[0]) for r in parts] == pytest.approx(t[[0, 505, 1890, 3005]])
+    assert max(off(r) for r in parts) < 1e-9
+    save_npz(tmp_path / "b.npz", {"seq": 10.0 * np.arange(len(kept)), **values})
+    assert read(tmp_path / "b.npz", rate=200)[0].samples == len(kept)
+
+
 def test_a_few_packets_do_not_determine_the_rate(tmp_path):
     true, arrival = packets(40, 0.0)
     message = refused(log(tmp_path / "a.npz", true[:400], arrival[:400]))

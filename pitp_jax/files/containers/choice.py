@@ -29,7 +29,7 @@ _WORD = {
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
-_COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())
+COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class _Seen:
     @property
     def counts_rows(self) -> bool:
         """Return whether the column's unit names a count of rows (`Sequence` of an oscilloscope)."""
-        return (self.unknown or "").lower() in _COUNTERS
+        return (self.unknown or "").lower() in COUNTERS
 
 
 def choose_columns(table: Table, options: ReadOptions, quantities: Sequence[str]) -> dict[str, Choice]:
@@ -426,7 +426,7 @@ def _port(table: Table, seen, pool, free, choice, quantity: str, taken: set, row
         return next(s for s in seen if s.place == choice.place)
     role, wrong = ("input", "output") if quantity == "voltage" else ("output", "input")
     if not pool:
-        pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & _COUNTERS]
+        pool = [s for s in free if s.kind != "time" and s.role != "time" and not s.header.words & COUNTERS]
     free = [s for s in pool if s.place not in taken]
     free.sort(key=lambda s: (s.role == wrong, not (role == "input" and s.header.commanded), s.role != role))
     for s in free[:16]:  # more columns are not loaded for a proposal
@@ -458,7 +458,7 @@ def _said(seen: Sequence[_Seen], one: _Seen) -> str:
 
 def _time_words(table: Table, seen: Sequence[_Seen], pool: Sequence[_Seen], free: list[_Seen], taken: set) -> dict:
     """Return options that state the time: a rising column, or a rate."""
-    bare = [s for s in free if s.role is None and s.unit is None and not s.header.words & _COUNTERS]
+    bare = [s for s in free if s.role is None and s.unit is None and not s.header.words & COUNTERS]
     pool = pool or [s for s in bare if _ticks(_values(table, s.place))]
     if not pool:
         return {"--rate": "RATE"}

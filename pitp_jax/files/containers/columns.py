@@ -11,7 +11,7 @@ import numpy as np
 
 from ...common.errors import BadInput
 from ...common.units import column_names, kind_of, to_base
-from .choice import Choice, choose_columns, clock_question, listed
+from .choice import COUNTERS, Choice, choose_columns, clock_question, listed
 from .held import hold_sparse, mean_of_held
 from .join import joined_parts
 from .names import read_header
@@ -242,7 +242,7 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
                 f"{blanks} empty lines between the rows of a file without a clock; split the file "
                 "there if samples were lost"
             )
-        loaded["time"] = np.arange(count) / rate
+        loaded["time"] = _row_numbers(table, count) / rate
         return choice
     seen = np.count_nonzero(np.isfinite(time))
     unfit = ""
@@ -260,6 +260,17 @@ def _timed(table: Table, choice: Choice, loaded: dict, count: int, options: Read
         raise Refused(unfit, {"--rate": "RATE"})
     loaded["time"] = np.arange(count) / rate
     return Choice(None, "--rate", "s", unfit.partition(";")[0])
+
+
+def _row_numbers(table: Table, count: int) -> np.ndarray:
+    """Return the number of every row: that of a counter of 8, 16 or more bits, which skips lost rows, or its place."""
+    for place, column in enumerate(table.columns):
+        if column.form == "number" and read_header(column.name).words & COUNTERS:
+            numbers = table.load([place])[0]
+            steps = np.diff(numbers) % (256 if numbers.max(initial=0) < 256 else 65536)
+            if len(numbers) == count and (steps > 0).all() and (steps == 1).mean() > 0.5:
+                return np.append(0, np.cumsum(steps))
+    return np.arange(count)
 
 
 def _without_empty_rows(loaded: dict[str, np.ndarray]) -> tuple[dict, np.ndarray | None]:
