@@ -60,7 +60,7 @@ def diagnose(
         exclude: effects left out of the catalogue.
         seconds: of computing; then the best result so far is returned, and `notes` lists the untried steps.
         progress: called with one line per step.
-        mesh: devices of this process that share the rollouts of all candidates (`records_mesh`); default one device.
+        mesh: devices of this process (`records_mesh`); the runs of a diagnosis take the processor's cores.
 
     Returns:
         verdict, effects, gap, ranking, and the model (a `Fitted`) with the effects added; with `against` a `SimToReal`.
