@@ -62,6 +62,7 @@ def hand_back(
             h = replace(h, fit=at_their_rate(h.fit, whole()))
         # in the package's own parts
         made, added = model_of(search.case.nominal, h.fit.slots, search.case.model, search.scale)
+        # the offset decides where a law of x acts
         made = with_offset(replace(made, domain=made.domain.driven_by(records)), records)
         made, after = stable(made, records, geometric_mean(before))
         better = geometric_mean(after) < geometric_mean(before) and harms_none(before, after, records)
@@ -69,7 +70,7 @@ def hand_back(
             parts = [label for n, label in zip(h.names, h.labels, strict=True) if n not in (FREE, PARAMETERS)]
             parts += ["term"] if FREE in h.names else []
             parts += ["parameters"] if set(h.fit.free) & {*CORE} else []
-            return h, (made, added), tuple(dict.fromkeys(parts))
+            return h, (with_offset(made, records), added), tuple(dict.fromkeys(parts))
     return search.given, (model, []), ()
 
 
