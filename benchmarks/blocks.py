@@ -79,8 +79,7 @@ def comparison(figures: dict) -> str:
         f"{cone['GRU']:.2f} % GRU; {cone['lumped']:.2f} % lumped model |",
         f"| roll actuator, median of {roll['records']} recordings | {roll['pitp_jax default']:.2f} % | "
         f"{roll['LSTM']:.2f} % LSTM; {roll['lumped + electrode']:.2f} % lumped model with electrode |",
-        f"| inversion of 120,000 samples | {short(default['median_ms'])} | "
-        "28.9 ms paper, RTX 3090 |",
+        f"| inversion of 120,000 samples | {short(default['median_ms'])} | 28.9 ms paper, RTX 3090 |",
         f"| the same, the [paper](docs/paper.md)'s network | {short(inverse['median_ms'])} | "
         f"{short(inverse['peer_median_ms'])} PyTorch, compiled |",
         f"| one identification fit, from the same start | {short(identify['median_ms'])} | "
