@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, save_csv, save_h5, text
+from record_files import OUTPUT, TIME, VOLTAGE, T, columns, refused, refused_csv, save_csv, save_h5, text
 
 from pitp_jax.common.units import from_base, spelt, to_base
 from pitp_jax.files.containers.names import read_header
@@ -184,3 +184,17 @@ def test_units_beside_the_data_count(tmp_path):
     (record,) = read(tmp_path / "a.h5")
     np.testing.assert_allclose(record.voltage, VOLTAGE, rtol=1e-14)
     assert record.displacement_unit == "mm"
+
+
+@pytest.mark.parametrize("name", ["HV 1:1000 (V)", "Monitor 1000:1 [V]", "voltage x1000 (V)", "U (V) x10"])
+def test_a_factor_in_a_name_is_asked(tmp_path, name):
+    """A monitor's volts were read as the amplifier's, a thousandth of them; a scale or a unit says what they are."""
+    body = f"time (s),{name},laser (mm)\n" + "".join(f"{k / 100},{k % 7},{k % 5}\n" for k in range(200))
+    why = refused_csv(tmp_path, body)
+    assert "the unknown unit 'V, " in why and "--input-unit" in why
+    path = next(tmp_path.glob("*.csv"))
+    for options in ({"input_unit": "kV"}, {"input_scale": 1000.0}):
+        (record,) = read(path, input_column=name, output_column="laser (mm)", **options)
+        assert record.voltage.max() == pytest.approx(6000.0)
+    path.write_text(body.replace(name, "channel 1:2 (V)"))
+    assert read(path)[0].voltage.max() == pytest.approx(6.0)

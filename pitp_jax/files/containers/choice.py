@@ -6,6 +6,7 @@ The first of these rules with a column decides; with more than one column the us
 unit competes with one that has a unit and no name. If two statements of a unit disagree, the user is asked.
 """
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -29,6 +30,8 @@ _WORD = {
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
 _SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
+# of a monitor, `HV 1:1000 (V)`: whether the numbers are before or after it is not known
+_FACTOR = re.compile(r"\b1\s*:\s*\d\d+\b|\b\d\d+\s*:\s*1\b|(?<!\w)[x×*]\s*10+\b")
 COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())
 
 
@@ -171,7 +174,9 @@ def _seen(place: int, column: Column) -> _Seen:
     # an unknown unit in a units row takes precedence over brackets in the name
     unknown = column.beside if column.beside and not beside else header.unknown
     counted = header.unknown is not None and header.unknown[:1].isdigit()  # `(100us)` is not a microsecond
-    if stated and not counted:
+    if stated and (factor := _FACTOR.search(column.name)):
+        unknown = f"{stated[0]}, {factor[0]}"
+    elif stated and not counted:
         return _Seen(place, column, header, stated[0], stated if len(stated) > 1 else ())
     if unknown:
         return _Seen(place, column, header, None, (), unknown)
@@ -381,8 +386,8 @@ def _with_unit(seen: _Seen, quantity: str, options: ReadOptions, note: str) -> C
     unit = seen.unit or seen.unknown
     if unit in units_of(quantity):
         return Choice(seen.place, name, str(unit), note)
-    if unit is None and options.scale(quantity) is not None:
-        return Choice(seen.place, name, "V", "no unit in the file, volts before the scale")
+    if options.scale(quantity) is not None:
+        return Choice(seen.place, name, "V", "no known unit in the file, volts before the scale")
     if unit is None and quantity == "time":
         return Choice(seen.place, name, "s", "no unit in the file, taken as seconds")
     why = "no unit" if unit is None else f"the unknown unit {unit!r}"
