@@ -302,7 +302,8 @@ def agree(first: np.ndarray, other: np.ndarray, within: float, *, shifted: bool 
 def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> list[_Seen]:
     """Return columns of the role's usual unit; if none is named for the role, also named columns without a unit.
 
-    A command of another unit competes with a voltage, unless that is named a command too.
+    A command of another unit competes with a voltage, unless that is named a command too. A DAQ channel comes last,
+    because it may be a monitor of such a column.
     """
     bare = [s for s in data if role in roles_of(s.header.words) and s.kind is None and s.unknown is None]
     commands = [s for s in data if role == "input" and s.header.commanded and s.kind]
@@ -310,7 +311,7 @@ def _competing(united: Sequence[_Seen], data: Sequence[_Seen], role: str) -> lis
         return [*united, *commands]
     if any(s.role == role and not s.header.words & _DAQ for s in united):
         return [*united]
-    return [*united, *bare]
+    return sorted([*united, *bare], key=lambda s: bool(s.header.words & _DAQ))
 
 
 def _machine(data: Sequence[_Seen], role: str) -> list[_Seen]:

@@ -169,7 +169,12 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
         return len(row) == width and some and all(fit[form](cell) for cell, form in zip(row, forms, strict=True))
 
     good = [k for k in body if holds(k)]
-    # two rows of numbers in sequence start the data, one above the names is a setting
+    # single numbers above a row of names are settings
+    full = next((k for k in good if _count(rows.cells[k], decimal) > 1), 0)
+    between = [rows.cells[k] for k in body if good[:1] < [k] < [full]]
+    if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
+        good = [k for k in good if k >= full]
+    # two rows of numbers in sequence start the data
     pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
     return next(iter(pairs or good), None)
 
