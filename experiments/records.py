@@ -67,7 +67,7 @@ ABOUT = {
 }
 # settings tried for a missed goal beside the four ways, by errors on left-out parts of the training recordings
 TRIED = {
-    "silverbox": "The diagnosed model had 5.2 % while its search took the band-limited input as linear between samples.",
+    "silverbox": "The diagnosed model had 5.2 % while its search took the band-limited input as linear.",
     "emps": "Without a spring the network sees the velocity alone, which describes dry friction badly (11 %), so it is "
     "trained after a diagnosis. Tried: with the position and lags of it `fit` had 2.8 % here and 227 mm on the test "
     "(59 % of it beyond the recorded stroke); lags as distances from the position had 3.2 % after a diagnosis, free "
