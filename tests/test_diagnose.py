@@ -349,6 +349,21 @@ def test_friction_is_found_beside_a_mass_that_the_nominal_lacks(linear):
     assert found.model.order == 2
 
 
+@pytest.mark.slow
+def test_what_is_handed_back_leaves_what_the_report_says(linear):
+    """Dry friction before the lag of a nominal of order three: in a core of that order it acted on the lagging output."""
+    plant, lag = nominal_of(linear), effect("sensor_lag", "one lag", 0.012)
+    nominal = pitp.identify(play(replace(plant, effects=(lag,))), order=3).model
+    records = play(replace(plant, effects=(effect("coulomb_friction", "Coulomb", 0.05), lag)))
+    found = pitp.diagnose(nominal, records, exclude=FEW_BUT_FRICTION)
+    left = [
+        np.std(p.displacement - r.displacement) / r.span
+        for p, r in zip(pitp.predict(found.model, records), records, strict=True)
+    ]
+    assert nominal.order == 3 and found.effects == ("coulomb_friction",) and [p.effect for p in found.parts][1:] == []
+    assert 100 * np.sqrt(np.mean(np.square(left))) < 1.2 * found.gap.after < 0.1 * found.gap.before
+
+
 def test_a_model_that_harms_one_recording_is_not_handed_back(nominal):
     """Of three recordings two are of a stiffer machine and one of the nominal's: the stiffer model harms the third."""
     stiffer = nominal.changed(np.array([1.2, 1.0, 1.0]))
