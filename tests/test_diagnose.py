@@ -351,7 +351,7 @@ def test_friction_is_found_beside_a_mass_that_the_nominal_lacks(linear):
 
 @pytest.mark.slow
 def test_what_is_handed_back_leaves_what_the_report_says(linear):
-    """Dry friction before the lag of a nominal of order three: in a core of that order it acted on the lagging output."""
+    """Dry friction before the lag of a nominal of order three: in a core of that order it acted on what lags."""
     plant, lag = nominal_of(linear), effect("sensor_lag", "one lag", 0.012)
     nominal = pitp.identify(play(replace(plant, effects=(lag,))), order=3).model
     records = play(replace(plant, effects=(effect("coulomb_friction", "Coulomb", 0.05), lag)))
