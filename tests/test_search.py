@@ -182,7 +182,7 @@ def test_only_what_a_machine_cannot_do_is_a_fault_of_the_recordings(linear, monk
     best = hypothesis(Fit(("clock_shift",), tuple(found), slots, np.zeros((1, 2))), 1.0)
     search = bare_search()
     search.best, search.case = lambda: best, SimpleNamespace(nominal=np.zeros(len(NAMES)))
-    outcome = diagnosis._Searched(search, 4, 1.0, 0.0, 0.0, 0.0, "", False)
+    outcome = diagnosis._Searched(search, 4, 0.0, 0.0, 0.0, "", False)
     monkeypatch.setattr(diagnosis, "_searched", lambda *given: outcome)
     monkeypatch.setattr(diagnosis, "rival_without", lambda *given: best)
     monkeypatch.setattr(diagnosis, "needed", lambda *given: 1.0)
