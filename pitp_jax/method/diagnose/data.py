@@ -29,6 +29,7 @@ from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
 
 THINNED_SAMPLES, COARSEST = 6_000, 16.0  # left of all records; of a period of the fastest mode or input, at least
+_LOST = 0.01  # of the fastest motion: below, a band-limited input is linear between samples
 _ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
 STEPS = 4  # steps a thinned sample of a linear core, at most
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
@@ -158,7 +159,10 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
             raise BadInput(f"the nominal model diverges on {r.name}, so it cannot be diagnosed; identify it again")
     nominal, others = slots_of(model)
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
-    k = 1 if whole else thinning(model, nominal, turned)
+    fastest = _fastest(model, nominal, turned)
+    k = 1 if whole else thinning(fastest, turned)
+    # lines between samples lose a fraction (pi f dt)^2 / 3 of a band-limited input
+    smooth = model.hold == "bandlimited" and (np.pi * fastest * dt) ** 2 / 3 > _LOST
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains
@@ -168,7 +172,7 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
         start = np.full((1, model.order), float(not rest))
         voltage = film_of(replace(model, effects=()), r.voltage[None], r.dt, start)[0]  # behind the electrode's lag
         film = _film(voltage, r.dt, k, held, square, rest, first_node) if k > 1 else None
-        force = ramped(voltage, linear=model.hold == "foh") if square else voltage
+        force = ramped(voltage, linear=not held and not smooth) if square else voltage
         x = centred_means(model.output.to_model(r.displacement) / scale, k, rest)
         if film is not None:
             force = film.force(np.arange(len(x)) * r.dt * k)
@@ -184,7 +188,8 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
-    simulator = Simulator(tuple(drives), model, others, nominal, steps_a_sample(model, others, dt * k))
+    run = model if smooth or held else replace(model, hold="foh")
+    simulator = Simulator(tuple(drives), run, others, nominal, steps_a_sample(model, others, dt * k))
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
 
 
@@ -230,10 +235,14 @@ def steps_a_sample(model: Model, others: Model | None, dt: float) -> int:
     return own if others is not None else min(own, max(STEPS, substeps(model.physical_coefficients, dt)))
 
 
-def thinning(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> int:
-    """Return how many samples to average into one: `THINNED_SAMPLES` remain, or `COARSEST` a period of the fastest."""
+def _fastest(model: Model, nominal: np.ndarray, records: Sequence[Record]) -> float:
+    """Return the fastest motion that the records show, or the nominal's mode if it is near it, Hz."""
     forces = [model.input_map.force(r.voltage) for r in records]
-    fastest = fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
+    return fastest_hz(records, forces, np.array([_omega(nominal) / (2 * np.pi)]))
+
+
+def thinning(fastest: float, records: Sequence[Record]) -> int:
+    """Return how many samples to average into one: `THINNED_SAMPLES` remain, or `COARSEST` a period of the fastest."""
     coarsest, wanted = 1 / (COARSEST * fastest * records[0].dt), sum(r.samples for r in records) / THINNED_SAMPLES
     return max(int(min(coarsest, wanted)), 1)
 

@@ -1,6 +1,7 @@
 """Check the rate and units of several records, find the start of the session clock, and group records by length."""
 
 from collections.abc import Callable, Sequence
+from os import PathLike
 
 import numpy as np
 
@@ -20,6 +21,8 @@ def check_records(records: object) -> None:
     """
     if isinstance(records, Record):
         raise BadInput(f"{_place(records)}: give a list of records, even for a single one")
+    if isinstance(records, (str, PathLike)):
+        raise BadInput(f"{str(records)!r} is not a list of records; give pitp.read({str(records)!r})")
     if not isinstance(records, Sequence):
         raise BadInput(f"a {type(records).__name__} is not a list of records; give the result of pitp.read")
     for record in records:
