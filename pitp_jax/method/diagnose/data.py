@@ -162,12 +162,13 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
     fastest = _fastest(model, nominal, turned)
     k = 1 if whole else thinning(fastest, turned)
     # lines between samples lose a fraction (pi f dt)^2 / 3 of a band-limited input
+    held = model.hold == "zoh"
     smooth = model.hold == "bandlimited" and (np.pi * fastest * dt) ** 2 / 3 > _LOST
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains
     for r, b, reached in zip(turned, begun, far, strict=True):
-        rest, held = b.begins == "rest", model.hold == "zoh"
+        rest = b.begins == "rest"
         first_node = r.dt * (k // 2 - samples_before(k, rest))  # s after the first sample
         start = np.full((1, model.order), float(not rest))
         voltage = film_of(replace(model, effects=()), r.voltage[None], r.dt, start)[0]  # behind the electrode's lag
