@@ -79,8 +79,8 @@ def comparison(figures: dict) -> str:
         f"{cone['GRU']:.2f} % GRU; {cone['lumped']:.2f} % lumped model |",
         f"| roll actuator, median of {roll['records']} recordings | {roll['pitp_jax default']:.2f} % | "
         f"{roll['LSTM']:.2f} % LSTM; {roll['lumped + electrode']:.2f} % lumped model with electrode |",
-        f"| inversion of 120,000 samples | {short(default['median_ms'])} | 28.9 ms paper, RTX 3090 |",
-        f"| the same, the [paper](docs/paper.md)'s network | {short(inverse['median_ms'])} | "
+        f"| 120,000 samples inverted, default network | {short(default['median_ms'])} | 28.9 ms paper, RTX 3090 |",
+        f"| with the [paper](docs/paper.md)'s network | {short(inverse['median_ms'])} | "
         f"{short(inverse['peer_median_ms'])} PyTorch, compiled |",
         f"| one identification fit, from the same start | {short(identify['median_ms'])} | "
         f"{short(identify['peer_median_ms'])} SciPy `least_squares` |",
@@ -94,7 +94,7 @@ def inversions(figures: dict) -> str:
     """The times of one inversion beside the paper's."""
     rows, h200 = figures["rows"], figures["h200"]
     lines = [
-        "| inversion of 120,000 samples | two CPU cores | one GPU |",
+        "| 120,000 samples inverted, default network | two CPU cores | one GPU |",
         "|---|---|---|",
         "| the paper | - | 28.9 ms (RTX 3090) |",
     ]

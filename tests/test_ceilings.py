@@ -16,7 +16,7 @@ PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 5836, "method/numerics": 9880, "method/signal": 13259, "method/model": 12501, "method/effects": 11143,
     "method/simulate": 18944, "method/fit": 7481, "method/identify": 25635, "method/train": 15467,
-    "method/invert": 19007, "method/diagnose": 51079, "method/adapt": 4753, "files/containers": 32134,
+    "method/invert": 19007, "method/diagnose": 51066, "method/adapt": 4753, "files/containers": 32142,
     "files/recordings": 12717, "files/model_file": 5596, "files/export": 11367, "files/mjcf": 8862,
     "application/commands": 18331, "application/pages": 10941, "application/compare": 10611, "application/plan": 9323,
     "application/check": 7813, "application/against": 3401, "application/demo": 4012, "application/plant": 2449,

@@ -328,6 +328,15 @@ def test_a_law_of_acceleration_starts_where_the_records_reach_it(nominal):
     assert best.value("slack: free fall, inverse") == pytest.approx(inverse, rel=0.1)
 
 
+@pytest.mark.parametrize(("hz", "hold"), [(2.0, "foh"), (25.0, "bandlimited")])
+def test_a_band_limited_input_is_a_line_where_samples_are_dense(nominal, hz, hold):
+    """125 and 10 samples a period; what is handed back keeps the nominal's own input."""
+    model = replace(nominal, hold="bandlimited")
+    drive = {"sine": 600 + 350 * np.sin(2 * np.pi * hz * TIME)}
+    case = build_case(model, play(model, inputs=drive, noise=0.0))
+    assert case.simulator.model.hold == hold and case.model.hold == "bandlimited"
+
+
 @pytest.mark.parametrize("gain", [-0.09, 0.12])
 def test_a_gain_of_either_sign_is_foreseen(nominal, gain):
     """From a start of the other sign one step ends halfway, and twelve other effects were fitted instead."""

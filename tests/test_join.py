@@ -87,6 +87,14 @@ def test_a_column_alone_leaves_cells_out_as_in_a_table(tmp_path):
     np.testing.assert_allclose(record.displacement, np.array(truth) / 1e3, rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize("text", ["# only\n# comments\n", "some words\nand more\n"])
+def test_a_file_without_numbers_is_not_joined(tmp_path, text):
+    """One of comments alone ended in a StopIteration, one of words was `(0 rows)`."""
+    save_csv(tmp_path / "u.csv", {"time_s": TIME, "voltage_V": VOLTAGE})
+    (tmp_path / "y.txt").write_text(text)
+    assert "y.txt: holds no table of numbers" in refused(tmp_path / "u.csv", join=[tmp_path / "y.txt"])
+
+
 def test_a_target_of_two_files(tmp_path):
     single_columns(tmp_path)
     target = read_target(tmp_path / "time.csv", join=[tmp_path / "disp.csv"])

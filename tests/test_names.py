@@ -593,15 +593,23 @@ def test_the_nominal_is_handed_back_in_place_of_a_set_that_may_be_worse(monkeypa
     answers = {
         "model_of": (model, []),
         "package_errors": np.ones(1),
-        "stable": (model, np.full(1, 0.5)),
         "is_bounded": True,
     }
     for name, value in answers.items():
         monkeypatch.setattr(handing_back, name, lambda *_, value=value, **__: value)
+    zeroed = replace(model, output=replace(model.output, offset=0.3))
+    monkeypatch.setattr(handing_back, "with_offset", lambda *_: zeroed)
+    seen: list[float] = []  # offsets with which a model was judged
+
+    def stable(made, *_):
+        seen.append(float(made.output.offset))
+        return made, np.full(1, 0.5)
+
+    monkeypatch.setattr(handing_back, "stable", stable)
     time = np.arange(64) * 1e-3
     records = [Record("sine", time, 100 * np.sin(time), np.sin(time))]
     decision = replace(decide(search, 0.0, 0.0, 6), alone=None)
     back, _, parts = handing_back.hand_back(search, decision, model, records)
-    assert parts == handed
+    assert parts == handed and {*seen} <= {0.3}
     if handed:  # with the numbers of the fit to every sample
         np.testing.assert_array_equal(back.fit.slots, decision.chosen.fit.slots + 1)

@@ -231,15 +231,17 @@ def test_an_effect_is_added_to_the_model_that_was_given(linear, nonlinear, order
 
 @pytest.mark.parametrize("order", [3, 4])
 @pytest.mark.parametrize("name", ["force_limit", "slack", "stiffening", "coulomb_friction", "end_stop"])
-def test_an_effect_before_the_lag_acts_in_a_model_of_a_higher_order(linear, order, name):
+@pytest.mark.parametrize("hold", ["foh", "bandlimited"])
+def test_an_effect_before_the_lag_acts_in_a_model_of_a_higher_order(linear, order, name, hold):
     """The run of the fit is that of the model handed back: in one of order three it would act on what lags."""
-    given = linear(order, hz=5.0, damping=0.2, dt=DT)
+    given = linear(order, hz=5.0, damping=0.2, dt=DT, hold=hold)
     slots = slots_of(given)[0]
     row = next(r for r in ROWS if r.name == name)
     slots[PLACES[row]] = NUMBERS[row.key]
     simulator = Simulator((Drive(VOLTS, DT, (0.0, 0.0), 0.0, 0.0),), given, None, slots, 8)
     plain, mine = simulator.run(np.stack([slots_of(given)[0], slots]), [0, 0], np.zeros((2, 2)))
     made, _ = model_of(slots_of(given)[0], slots, given, SCALE)
+    assert made.hold == hold
     made = replace(made, substeps=8)
     whole = model_runs(made, VOLTS[None], DT, np.asarray(rest_state(made))[None])[1][0]
     assert np.std(mine - plain) > 0.05 * np.std(plain)

@@ -59,7 +59,10 @@ def _opened(path: Path, options: ReadOptions) -> Parts:
         try:
             return open_parts(path, replace(options, sheet=None, split_by=None))
         except NoTable:
-            return [[single_column(path)]]
+            column = single_column(path)
+            if not _rows(column):
+                raise
+            return [[column]]
 
 
 def _joined(tables: Sequence[Table], options: ReadOptions) -> Table:

@@ -29,7 +29,6 @@ from .library import CORE, INDEX, slots_of
 from .simulator import Drive, Film, Simulator, root
 
 THINNED_SAMPLES, COARSEST = 6_000, 16.0  # left of all records; of a period of the fastest mode or input, at least
-_LOST = 0.01  # of the fastest motion: below, a band-limited input is linear between samples
 _ENOUGH = 5_000  # samples from which no further record is needed to recognise a promising start
 STEPS = 4  # steps a thinned sample of a linear core, at most
 FEWEST_FOLDS = 4  # with fewer records each is cut into blocks
@@ -161,9 +160,9 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
     turned = [aligned(r, b, model.output) for r, b in zip(records, begun, strict=True)]
     fastest = _fastest(model, nominal, turned)
     k = 1 if whole else thinning(fastest, turned)
-    # lines between samples lose a fraction (pi f dt)^2 / 3 of a band-limited input
+    # lines between samples lose a fraction (pi f dt)^2 / 3 of a band-limited input: 1.3 % at COARSEST
     held = model.hold == "zoh"
-    smooth = model.hold == "bandlimited" and (np.pi * fastest * dt) ** 2 / 3 > _LOST
+    smooth = model.hold == "bandlimited" and COARSEST * fastest * dt > 1
     scale, square = float(model.scales.state[0]), model.input_map.name == "square"
     drives, series, starts = [], [], []
     far = reaches(model, turned) if known else [0.0] * len(turned)  # earlier stretch remains
@@ -189,7 +188,7 @@ def build_case(model: Model, records: Sequence[Record], *, whole: bool = False) 
         drives.append(Drive(volts, r.dt * k, starts[-1], age, 0.0 if rest else None, jump, film, float(reached)))
         noise = float(noise_std(r.displacement)) / scale / np.sqrt(k)
         series.append(Series(r, x, seen, float(np.nanmax(x) - np.nanmin(x)), b.begins, noise, b.zero, b.direction))
-    run = model if smooth or held else replace(model, hold="foh")
+    run = replace(model, hold="bandlimited" if smooth else "foh")  # a held input's half sample is a delay
     simulator = Simulator(tuple(drives), run, others, nominal, steps_a_sample(model, others, dt * k))
     return Case(model, tuple(series), simulator, nominal, np.array(starts), k, _folds(series))
 

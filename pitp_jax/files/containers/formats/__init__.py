@@ -29,17 +29,8 @@ _UNREAD = {  # suffix: what it is, and what to save instead
     (".pkl", ".pickle", ".joblib", ".npy"): "a file of Python or of one array; save named arrays with numpy.savez "
     "(.npz) or as CSV",
     (".xls", ".ods", ".numbers"): "a spreadsheet of another kind; save it as .xlsx or CSV",
-    (
-        ".mf4",
-        ".mdf",
-        ".dxd",
-        ".bag",
-        ".db3",
-        ".slx",
-        ".m",
-        ".json",
-        ".jsonl",
-        ".zip",
+    tuple(
+        ".mf4 .mdf .dxd .bag .db3 .slx .m .json .jsonl .zip".split()
     ): "not read; export its signals as CSV, MAT or MCAP",
 }
 

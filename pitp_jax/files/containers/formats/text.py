@@ -95,7 +95,8 @@ def text_tables(path: Path, read: Callable[[], bytes], options: ReadOptions, for
 def single_column(path: Path) -> Table:
     """Return a text of one number per line as a table, named by its first line or the file."""
     data = plain_text(path)
-    begin, end = next(span[:2] for span in _first_lines(data) if not data[span[0] : span[1]].startswith(_MARKS))
+    spans = (span[:2] for span in _first_lines(data) if not data[span[0] : span[1]].startswith(_MARKS))
+    begin, end = next(spans, (0, 0))
     name, first = path.name.partition(".")[0], data[begin:end].decode("utf-8", "replace").strip(' "')
     if not is_number(first, ".") and not is_number(first, ","):
         name, begin = first, end + 1
