@@ -120,7 +120,7 @@ def test_a_packet_that_did_not_come_is_lost(tmp_path):
 
 @pytest.mark.parametrize("bits", [8, 16, 32])
 def test_rows_that_a_counter_skips_are_lost(tmp_path, bits):
-    """Without a clock, at a stated rate: the last rows came 0.5 s early. A counter of strides is no clock."""
+    """Without a clock, at a stated rate: the last rows came 0.5 s early. A counter that steps by ten is not used."""
     t = np.arange(4000) / 200
     kept = np.setdiff1d(np.arange(len(t)), np.r_[500:505, 1800:1890, 3000:3005])
     numbers = ((kept + 2**bits - 700) % 2**bits).astype(float)

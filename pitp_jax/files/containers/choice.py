@@ -29,7 +29,7 @@ _WORD = {
     "displacement": "output (displacement_mm, output_deg, ...)",
 }
 _DAQ = frozenset("monitor mon adc ai ain analog channel ch daq".split())
-_SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # their voltage is no input
+_SUPPLIES = frozenset("battery batt bat vbat vbatt vbus bus vcc vdd".split())  # not inputs of a plant
 # of a monitor, `HV 1:1000 (V)`: whether the numbers are before or after it is not known
 _FACTOR = re.compile(r"\b1\s*:\s*\d\d+\b|\b\d\d+\s*:\s*1\b|(?<!\w)[x×*]\s*10+\b")
 COUNTERS = frozenset("sample samples index scan nr no row point frame frames record rn sequence seq id".split())

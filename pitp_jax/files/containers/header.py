@@ -251,7 +251,7 @@ def _named(bare: Layout, rows: Rows, k: int, units: Sequence[str], widths: range
     names, width, notes = trimmed(rows.cells[k]), bare.width, []
     if len(names) > width:
         names, notes = names[: widths[0]], [f"{len(names) - widths[0]} cells to the right of the header ignored"]
-    if len(rows.cells[k]) == widths[0] - 1:  # an empty last cell of the header is a column without a name
+    if len(rows.cells[k]) == widths[0] - 1:  # an empty last cell names nothing, and shifts nothing
         names = ["row", *names]
         notes.append("row names before the first column")
         counts = [row[0] for row in rows.cells[first:] if len(row) == width]

@@ -31,7 +31,7 @@ def unstable_pole(stable: float, problem: Problem) -> tuple[complex, float] | No
     """
     best = None
     for order in (1, 2, 3):
-        for pair in (False, True)[:order]:  # a single pole is no pair
+        for pair in (False, True)[:order]:  # one pole cannot be a pair
             start = min(_starts(order, pair, problem), key=lambda p: float(np.sum(_residual(p, pair, problem) ** 2)))
             fit = least_squares(_residual, start, args=(pair, problem), x_scale=0.5, max_nfev=20)
             pole, rms = _poles(fit.x, pair)[0], float(np.sqrt(2 * fit.cost))
