@@ -94,7 +94,7 @@ def inversions(figures: dict) -> str:
     """The times of one inversion beside the paper's."""
     rows, h200 = figures["rows"], figures["h200"]
     lines = [
-        "| 120,000 samples inverted, default network | two CPU cores | one GPU |",
+        "| inversion of 120,000 samples | two CPU cores | one GPU |",
         "|---|---|---|",
         "| the paper | - | 28.9 ms (RTX 3090) |",
     ]
