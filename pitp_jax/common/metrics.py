@@ -24,6 +24,11 @@ def _counted(predicted, measured, mask, part: slice = slice(None)) -> tuple[np.n
     return predicted[part][counted[part]], measured[part][counted[part]]
 
 
+def rms(values: np.typing.ArrayLike) -> float:
+    """Compute the root-mean-square of values, in their unit; any shape."""
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
 def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:
     """Compute the root-mean-square error of a prediction, in the unit of the data.
 

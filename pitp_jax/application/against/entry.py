@@ -16,10 +16,10 @@ from ...method.diagnose.joint import Answer, Parameter, parameters
 from ...method.identify.identification import identify
 from ...method.model.fitted import Fitted
 from ...method.model.model import Model
-from ...method.signal.initial_state import noise_std
+from ...method.signal.initial_state import noise_of, noise_std
 from ...method.signal.record import Record
 from ...method.signal.sets import check_records
-from ...method.simulate.prediction import predict
+from ...method.simulate.prediction import predicted_pairs
 from ..compare.pairing import pair_records
 from .correction import corrections
 from .mjcf import with_shared_weight
@@ -99,7 +99,7 @@ def _against(real: Sequence[Record], simulated: Sequence[Record], position_gain:
     say = options["progress"]
     free = "; the searches that follow have no limit of time"
     say(f"identifying the simulator{free if np.isinf(options['seconds']) else ''}")
-    noise = float(np.median([noise_std(r.displacement) for r in real]))
+    noise = float(np.median(noise_of(real)))
     nominal, simulator, own = model_of_simulator(simulated, noise, options)
     say("diagnosing the robot's recordings")
     # at the robot's rate, because a held command stays for one sample of its own log
@@ -184,7 +184,7 @@ def parameters_of(
 def _error(model: Model | Fitted, records: Sequence[Record]) -> float:
     """Return the rms error of simulations beyond noise, pooled over records, % of range; infinite if one diverges."""
     squares = []
-    for record, run in zip(records, predict(model, records), strict=True):
+    for record, run in predicted_pairs(model, records):
         error = e_rms_percent(run.displacement, record.displacement, run.scored)
         noise = 100 * noise_std(record.displacement) / max(record.span, 1e-30)
         squares.append(np.inf if run.diverged else max(error**2 - noise**2, 0.0))

@@ -18,7 +18,7 @@ from ...method.identify.frequency_response import frequency_response
 from ...method.identify.linear_ode import coast, logs_from_roots, respond
 from ...method.identify.output_error import build_problem
 from ...method.identify.rational_fit import PEAK, needs_resonance
-from ...method.model.input_map import INPUT_MAPS, usual_input_map
+from ...method.model.input_map import INPUT_MAPS, forces_of, usual_input_map
 from ...method.numerics.coloured_noise import project
 from ...method.signal.excitation_kind import kind
 from ...method.signal.initial_state import Beginning
@@ -78,7 +78,7 @@ def fit_set(records: Sequence[Record]) -> SetFit | None:
 
     The force is taken as the units suggest unless the other input map has less than half the residual.
     """
-    best, usual = None, usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    best, usual = None, usual_input_map(records[0])
     for name in sorted(INPUT_MAPS, key=lambda name: name != usual):
         fit = _fitted(records, name)
         if fit is not None and (best is None or fit.unexplained < 0.5 * best.unexplained):
@@ -148,7 +148,7 @@ def _doubtful(rows: Sequence[Beside]) -> bool:
 
 def _thinned(records: Sequence[Record], input_map: str) -> tuple[int, list[Record]]:
     """Average input and output of all records over blocks; a linear system preserves their relation."""
-    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    forces = forces_of(records, input_map)
     dt, total = records[0].dt, sum(r.samples for r in records)
     shortest = min(r.samples for r in records)
     # 40 samples per period of the force band remain, and 300,000 in all

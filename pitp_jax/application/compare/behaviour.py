@@ -19,6 +19,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from scipy.signal import chirp
 
+from ...common.metrics import rms
 from ...common.numbers import finite, number
 from ...common.quantity import Units
 from ...common.units import base_unit
@@ -131,7 +132,7 @@ def own_error(fitted: Fitted) -> float:
     training = fitted.origin.training or {}
     errors = [pair[1] for pair in training.get("errors", {}).values()]
     if errors:
-        return float(np.sqrt(np.mean(np.square(errors))))
+        return rms(errors)
     return float(fitted.origin.level)
 
 
@@ -148,7 +149,7 @@ def _error_of(model: Model, k: int | None, run: np.ndarray, own: float, drive, d
     step = 0.05  # relative change of the coefficient
     factors = np.where((np.arange(model.order + 1) == k) | (k is None), 1 + step, 1.0)
     moved = _run(model.changed(factors), drive, dt)
-    change = float(np.sqrt(np.mean((moved - run) ** 2))) or np.nan
+    change = rms(moved - run) or np.nan
     return own * step / change * (0.5 if k == 2 else 1.0)  # the resonance is proportional to the root of the inertia
 
 
@@ -180,10 +181,11 @@ def _free_run_row(one: Behaviour, two: Behaviour) -> Difference:
     """Compare the two simulated sweeps: rms difference, and both models' own errors, % of the range."""
     span = max(float(np.ptp(one.run)), float(np.ptp(two.run)))
     percent = 100 / span
-    apart = percent * float(np.sqrt(np.mean((one.run - two.run) ** 2)))
+    apart = percent * rms(one.run - two.run)
     what = "free runs of one sweep: rms difference"
     known = percent * float(np.hypot(one.own, two.own))
-    if not known < np.inf:
-        return Difference(what, "reference", apart, "% of range", None, None if apart else False)
-    what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
-    return Difference(what, "reference", apart, "% of range", None, apart > known)
+    differs = None if apart else False
+    if known < np.inf:
+        what += f" (own errors {number(percent * one.own, 2)} and {number(percent * two.own, 2)} %)"
+        differs = apart > known
+    return Difference(what, "reference", apart, "% of range", None, differs)

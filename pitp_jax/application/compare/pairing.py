@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from ...common.units import base_unit
-from ...method.signal.initial_state import noise_std
+from ...method.signal.initial_state import noise_of
 from ...method.signal.record import Record
 from .alignment import ALIKE, Alignment, align
 
@@ -180,7 +180,7 @@ class _Table:
     @classmethod
     def of(cls, first: Sequence[Record], second: Sequence[Record], matches: list[list[Alignment]]) -> "_Table":
         misfit = np.array([[m.misfit if m.accepted else np.inf for m in row] for row in matches])
-        noise = _noise(first), _noise(second)
+        noise = noise_of(first) ** 2, noise_of(second) ** 2
         moments = {
             (i, j): _moments(first[i], second[j], matches[i][j].offset)
             for i, j in zip(*np.nonzero(_near(misfit) | _near(misfit.T).T), strict=True)
@@ -282,10 +282,6 @@ def _repeats(table: _Table, chosen: set[tuple[int, int]], shared: bool) -> set[t
             if apart <= table.distance[k, j]:
                 repeats.add((i, j))
     return repeats
-
-
-def _noise(records: Sequence[Record]) -> np.ndarray:
-    return np.array([noise_std(r.displacement) ** 2 for r in records])
 
 
 def _at(a: Record, b: Record, offset: float) -> np.ndarray:

@@ -20,7 +20,7 @@ from ...method.identify.identification import Identification, identify
 from ...method.invert.feedforward_plan import feedforward
 from ...method.signal.record import Record
 from ...method.signal.target import Target
-from ...method.simulate.prediction import Prediction, predict
+from ...method.simulate.prediction import Prediction, predicted_pairs
 from ...method.train.settings import PRESETS
 from ...method.train.training import Progress, Training, train
 from ..plan.excitation import Excitation, protocol, sine, sweep
@@ -79,7 +79,7 @@ class Track:
     achieved: np.ndarray
     voltage: np.ndarray
     self_check: float
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...]
 
     @property
     def e_rms(self) -> float:
@@ -133,8 +133,8 @@ def run(
         raise KeyboardInterrupt
     say(f"predicting {len(sines)} in-sample and {len(test)} held-out recordings")
     # every record once with both models, so that tables and figures use the same runs
-    predicted = {r.name: p for part in (sines, test) for r, p in _pairs(trained.model, part)}
-    linear = {r.name: p for part in (sines, test, (swept,)) for r, p in _pairs(identified.model, part)}
+    predicted = {r.name: p for part in (sines, test) for r, p in predicted_pairs(trained.model, part)}
+    linear = {r.name: p for part in (sines, test, (swept,)) for r, p in predicted_pairs(identified.model, part)}
     say("tracking sines")
     tracks = tuple(track(actuator, trained.model, f, sines) for f in TRACKING_PAPER[name])
     return Demo(name, swept, sines, test, identified, trained, predicted, linear, tracks)
@@ -166,10 +166,6 @@ def excitations(name: str, part: str, quick: bool) -> tuple[Excitation, ...]:
 def measure(actuator: Plant, drives: Sequence[Excitation]) -> tuple[Record, ...]:
     """Simulate noisy recordings of a virtual actuator, one per input voltage."""
     return tuple(record(actuator, e.name, e.time, e.voltage, seed=SEED) for e in drives)
-
-
-def _pairs(model, records):
-    return zip(records, predict(model, records), strict=True)
 
 
 def nearest(records: Sequence[Record], name: str, frequency: float) -> Record:

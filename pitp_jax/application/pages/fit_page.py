@@ -104,7 +104,7 @@ def memory_times(model: Model | Fitted, records: Sequence[Record], predictions: 
     if not whole:
         return [f"{figure(float(t), 2)} s" for t in np.sort(np.exp(memory.log_tau))]
     records, predictions = zip(*whole, strict=True)
-    counted = [p.scored & np.isfinite(r.displacement) for r, p in whole]
+    counted = [p.scored & r.observed for r, p in whole]
     columns = []
     for k in range(len(memory.log_tau)):
         changed = replace(model, memory=replace(memory, log_tau=memory.log_tau.at[k].add(step)))

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from ...method.signal.record import sampling_interval
 from .limits import Limits
 from .waveforms import smooth_step
 
@@ -46,16 +47,12 @@ class Planned:
     @property
     def seconds(self) -> float:
         """Return the duration of the planned recording, s."""
-        return len(self.time) * self._dt
+        return len(self.time) * sampling_interval(self.time)
 
     @property
     def slew(self) -> float:
         """Return the largest rate of change of the voltage, V/s."""
-        return float(np.abs(np.diff(self.voltage)).max()) / self._dt
-
-    @property
-    def _dt(self) -> float:
-        return float(self.time[-1] - self.time[0]) / (len(self.time) - 1)
+        return float(np.abs(np.diff(self.voltage)).max()) / sampling_interval(self.time)
 
 
 def space_filling(count: int, limits: Limits, seed: int) -> np.ndarray:

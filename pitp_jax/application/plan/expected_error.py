@@ -14,16 +14,17 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.metrics import rms
 from ...method.fit.forward_sensitivity import Runs, run_slopes
 from ...method.fit.parameters import parameters
 from ...method.model.model import Model
-from ...method.signal.initial_state import noise_std
+from ...method.signal.initial_state import noise_of
 from ...method.signal.record import Record
-from ...method.signal.sets import alike
+from ...method.signal.sets import alike, padded
 from ...method.simulate.beginnings import settled_states
 from ...method.simulate.decoder import rest_state
 from ...method.simulate.model_runs import model_runs
-from ...method.simulate.prediction import FAR, at_rate, predict
+from ...method.simulate.prediction import FAR, at_rate, predicted_pairs
 from ...method.train.refine import prior_weights, thinning
 from ...method.train.settings import Settings, firmness_of
 
@@ -44,9 +45,9 @@ def information(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: 
 
 def _together(model: Model, voltages: Sequence[np.ndarray], dt: float, floor: float) -> list[np.ndarray]:
     """Compute `information` for voltages of similar length, padded to one length."""
-    every, size, scale = thinning(model, dt), max(map(len, voltages)), float(model.scales.state[0])
-    drive = np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages]).astype(np.float32)
-    inside = np.less(np.arange(size), np.array([len(u) for u in voltages])[:, None])
+    every, scale = thinning(model, dt), float(model.scales.state[0])
+    drive = padded(voltages).astype(np.float32)
+    inside = np.less(np.arange(drive.shape[1]), np.array([len(u) for u in voltages])[:, None])
     held = settled_states(model, drive[:, 0], dt, np.zeros(len(drive)))
     settled = (drive[:, :1] != 0) & np.isfinite(held).all(1, keepdims=True)
     start = np.where(settled, held, np.asarray(rest_state(model)))
@@ -104,15 +105,15 @@ def knowledge(model: Model, records: Sequence[Record]) -> Knowledge:
         raise BadInput("the model has no trained parameters; give a model that `pitp fit` wrote")
     dt = records[0].dt
     # a diverged run shows that the model fails there, but not by how much
-    misses = [_miss(r, p) for r, p in zip(records, predict(model, records), strict=True) if not p.diverged]
+    misses = [_miss(r, p) for r, p in predicted_pairs(model, records) if not p.diverged]
     if not misses:
         raise BadInput(
             "the model diverges on every recording; check that they are from this actuator, or train the model again"
         )
     errors, taus = np.array(misses).T
-    error = float(np.sqrt(np.mean(errors**2)))
+    error = rms(errors)
     # an input that hardly moves the actuator gives only noise, even if the model predicts it well
-    floor = 100 * float(np.median([noise_std(r.displacement) for r in records])) / error
+    floor = 100 * float(np.median(noise_of(records))) / error
     played = information(model, [r.voltage for r in records], dt, floor)
     seconds = np.array([r.samples * dt for r in records])
     rho = prior_weights(model, sizes, firmness_of(Settings(), model, len(records)))
@@ -128,4 +129,4 @@ def _miss(record: Record, prediction) -> tuple[float, float]:
     power = np.abs(np.fft.rfft(e, 2 * len(e))) ** 2  # twice the length: no correlation of the end with the start
     c = np.fft.irfft(power)[: len(e)]
     tau = record.dt * (2 * float(np.sum((c / c[0]) ** 2)) - 1) if c[0] > 0 else record.dt
-    return 100 * float(np.sqrt(np.mean(e[seen] ** 2)) / np.ptp(record.displacement[seen])), tau
+    return 100 * rms(e[seen]) / float(np.ptp(record.displacement[seen])), tau

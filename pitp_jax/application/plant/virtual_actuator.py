@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...common.errors import ComputationFailed
-from ...method.signal.record import Record
+from ...method.signal.record import Record, sampling_interval
 from .integration import adaptive, advance, fixed, rest, substeps
 from .physics import ConeGeometry, Plant, RollGeometry
 
@@ -191,7 +191,7 @@ def _interval(time, voltage) -> float:
     """Return the sampling interval (s); refuse sample times that are not uniform or do not fit the voltage."""
     if time.ndim != 1 or len(time) < 2 or voltage.shape[-1:] != time.shape:
         raise ValueError(f"time must be (T,) and voltage (..., T), T > 1; got {time.shape} and {voltage.shape}")
-    dt = float((time[-1] - time[0]) / (len(time) - 1))
+    dt = sampling_interval(time)
     # the scan has one dt: a jitter of a hundredth is that of a logged clock, more is not uniform
     if dt <= 0.0 or np.abs(np.diff(time) - dt).max() > 0.01 * dt:
         raise ValueError("time must increase uniformly, to 1 % of a sample")

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ...common.errors import BadInput
-from ...common.metrics import e_rms_percent
+from ...common.metrics import e_rms_percent, rms
 from ...common.numbers import number
 from ...method.model.lineage import sums
 from ...method.signal.record import Record
@@ -119,7 +119,7 @@ class Verification:
 def _gap(played: Sequence[Played], after: bool) -> float:
     runs = [(p.after if after else p.before, p.record.displacement) for p in played]
     errors = [np.inf if run is None else e_rms_percent(run, y) for run, y in runs]
-    return float(np.sqrt(np.mean(np.square(errors))))
+    return rms(errors)
 
 
 def verify_mjcf(

@@ -20,7 +20,7 @@ from ..model.fitted import Fitted, fitted_of
 from ..model.lineage import descended
 from ..model.model import Model
 from ..model.sections import sections_of
-from ..signal.initial_state import in_motion, noise_std
+from ..signal.initial_state import in_motion
 from ..signal.record import Record
 from ..signal.sets import check_set
 from ..simulate.prediction import at_rate, begin
@@ -115,8 +115,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     records, _ = in_motion(records)
     fitted = fitted_of(model)
     here = at_rate(fitted.model, records[0].dt)
-    noise = [noise_std(r.displacement) for r in records]
-    seen = session(here, records, *begin(here, records), noise)
+    seen = session(here, records, *begin(here, records))
     middle = float(seen.target[seen.weight > 0].mean())
     factors = factors_of(here, max(r.samples for r in records) * records[0].dt, middle)
     # the day's sensor may be another one: its noise is not a change of the actuator
@@ -131,7 +130,7 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     spread[: len(known), : len(known)] += known
     names = select(full.z, spread, factors)
     if not names:
-        return _verdict(fitted, None, {}, e_rms(given, whole, seen), None, False, level)
+        return _verdict(fitted, fitted, {}, e_rms(given, whole, seen), np.inf, False, level)
     moves, prior = directions(factors, names), prior_of(factors, names)
     first = combined(moves, full.z, spread)
     best = problem.fit(moves, whole, prior, first=first)
@@ -147,17 +146,17 @@ def adapt(model: Model | Fitted, records: Sequence[Record] | Record) -> Adaptati
     return _verdict(fitted, new, changed, before, after, heldout, level)
 
 
-def _verdict(model, new, changed, before: float, after: float | None, heldout: bool, level: float) -> Adaptation:
+def _verdict(model, new, changed, before: float, after: float, heldout: bool, level: float) -> Adaptation:
     """Accept a change if it lowers the error; advise a new training if the error stays far above its level."""
     verdict: Verdict = "unchanged"
-    remaining = before
-    if new is not None and after is not None and after < _KEPT * before:
-        verdict, model, remaining = "adapted", new, after
+    most, advice = min(_SAME * level, _BLIND), ""
+    if after < _KEPT * before:
+        verdict, model, most = "adapted", new, _FAR * level
     else:
-        changed = {}
-    if remaining > (_FAR * level if verdict == "adapted" else min(_SAME * level, _BLIND)):
-        return Adaptation(model, "retrain", changed, before, remaining, heldout, level, _ADVICE)
-    return Adaptation(model, verdict, changed, before, remaining, heldout, level)
+        changed, after = {}, before
+    if after > most:
+        verdict, advice = "retrain", _ADVICE
+    return Adaptation(model, verdict, changed, before, after, heldout, level, advice)
 
 
 _ADVICE = (

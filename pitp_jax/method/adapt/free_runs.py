@@ -19,8 +19,9 @@ from ..fit.minimise import Normal, minimise
 from ..model.model import Model
 from ..model.programs import double_on_cpu, in_double, jit
 from ..numerics.coloured_noise import project
-from ..signal.initial_state import Beginning, aligned
+from ..signal.initial_state import Beginning, aligned, noise_of
 from ..signal.record import Record
+from ..signal.sets import padded
 from ..simulate.beginnings import settled_states
 from ..simulate.model_runs import Models, model_runs
 from ..simulate.prediction import FAR
@@ -61,25 +62,24 @@ class Session(NamedTuple):
 
 
 def session(
-    model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning], noise
+    model: Model, records: Sequence[Record], starts, spent: Sequence[int], begun: Sequence[Beginning]
 ) -> Session:
-    """Prepare recordings for the fit; `noise`: standard deviation of each sensor's noise (m)."""
-    size = max(r.samples for r in records)
-    voltage, target, weight, half = (np.zeros((len(records), size)) for _ in range(4))
-    loose, floor = np.zeros(len(records)), np.zeros(len(records))
+    """Prepare recordings for the fit, with their initial states as `begin` returns them."""
+    voltage, noise = padded([r.voltage for r in records]), noise_of(records)
+    target, weight, half = (np.zeros(voltage.shape) for _ in range(3))
+    loose = np.zeros(len(records))
     for k, (r, b) in enumerate(zip(records, begun, strict=True)):
         x = model.output.to_model(aligned(r, b, model.output).displacement) / model.scales.state[0]
         seen = np.isfinite(x)
         seen[: spent[k]] = False
         span = np.ptp(x[np.isfinite(x)])
-        voltage[k] = np.pad(r.voltage, (0, size - r.samples), mode="edge")
         target[k, : r.samples], weight[k, : r.samples] = np.where(seen, x, 0.0), 100 / span * seen
         half[k, : r.samples] = np.arange(r.samples) * _BLOCKS // r.samples % 2 == 0
         units = 100 / (span * float(model.scales.state[0]))
         loose[k] = min(b.stderr * units, 100 * _ZERO) if b.begins == "rest" else 100 * _ZERO
-        floor[k] = noise[k] * units
+        noise[k] *= units
     begins = tuple(b.begins for b in begun)
-    return Session(voltage, target, weight, half, np.asarray(starts), begins, loose, floor, records[0].dt)
+    return Session(voltage, target, weight, half, np.asarray(starts), begins, loose, noise, records[0].dt)
 
 
 _moved = jit(moved)  # in every fit many times

@@ -14,10 +14,10 @@ from dataclasses import replace
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from ..model.input_map import INPUT_MAPS
+from ..model.input_map import forces_of
 from ..numerics.coloured_noise import block_means, project, whitener
 from ..signal.excitation_kind import spread_over_kinds
-from ..signal.initial_state import Beginning, from_known, level_groups, noise_std, rest_level
+from ..signal.initial_state import Beginning, from_known, level_groups, noise_of, rest_level
 from ..signal.preprocess import force_band
 from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
@@ -68,12 +68,12 @@ def _only_noise(cost: float, records: Sequence[Record]) -> bool:
     """Return whether a model of order 2 leaves only sensor noise; its error then cannot bias a fitted sensor offset."""
     size = np.mean([np.nanmean((r.displacement - np.nanmedian(r.displacement)) ** 2) for r in records])
     # a model without error leaves at most 1.2 times the noise
-    return bool(np.sqrt(cost * size) < 1.2 * np.median([noise_std(r.displacement) for r in records]))
+    return bool(np.sqrt(cost * size) < 1.2 * np.median(noise_of(records)))
 
 
 def _decimated(records: Sequence[Record], input_map: str) -> tuple[list[int], list[Record]]:
     """Select records of every kind; return indices, and these records averaged over a tenth of the fastest period."""
-    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    forces = forces_of(records, input_map)
     dt, shortest = records[0].dt, min(r.samples for r in records)
     size = block_size(dt, force_band(forces, dt), _PER_PERIOD, shortest)
     # as many records as 100,000 samples hold

@@ -24,14 +24,14 @@ from ..model.domain import Domain
 from ..model.dominant import dominant_frequency
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted
-from ..model.input_map import INPUT_MAPS, usual_input_map
+from ..model.input_map import INPUT_MAPS, forces_of, usual_input_map
 from ..model.lineage import descended
 from ..model.model import Hold, Output, linear_model
 from ..model.origin import Origin, OutOfFold
 from ..model.substeps import substeps
 from ..signal.excitation_kind import only_frequency
 from ..signal.excited import Table
-from ..signal.initial_state import INITIAL_SAMPLES, Beginning, aligned, noise_std, rest_level
+from ..signal.initial_state import INITIAL_SAMPLES, Beginning, aligned, noise_of, noise_std, rest_level
 from ..signal.long_record import thinned
 from ..signal.record import Record
 from ..signal.reduced import averaged, block_size
@@ -167,7 +167,7 @@ def identify(
     _check_options(order, input_map or "square", hold, learn, leave_out)
     check_set(records)
     check_motion(records)
-    usual = input_map or usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
+    usual = input_map or usual_input_map(records[0])
     how = {"order": order, "hold": hold, "learn": learn, "leave_out": leave_out, "progress": progress}
     first = _attempted(records, usual, **how)
     left = np.inf
@@ -329,7 +329,7 @@ def _averaged(records: Sequence[Record], input_map: str, whole: Problem, roots, 
     size = min(size, int(np.ceil(whole.samples / 10_000)))
     if size < 2:
         return whole
-    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    forces = forces_of(records, input_map)
     small = [averaged(r, f, size) for r, f in zip(records, forces, strict=True)]
     return replace(build_problem(small, "linear", whole.beginnings), fine=whole.dt)
 
@@ -434,14 +434,14 @@ def _to_model(
     relative = chosen.stderr / a
     output = Output(chosen.offset, chosen.polarity)
     moved = [output.to_model(aligned(r, b, output).displacement) for r, b in zip(records, begun, strict=True)]
-    forces = [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
+    forces = forces_of(records, input_map)
     force_scale = max(float(np.abs(f).max()) for f in forces)
     longest = int(np.argmax([r.samples for r in records]))
     x_rms = float(np.sqrt(np.nanmean(np.concatenate(moved) ** 2)))
     omega = dominant_frequency(a) if chosen.input_offset else (a[0] / a[n]) ** (1 / n)
     dt = records[0].dt
     long = thinned(aligned(records[longest], begun[longest], output), forces[longest], begun[longest].begins == "rest")
-    noise = float(np.median([noise_std(r.displacement) for r in records]))
+    noise = float(np.median(noise_of(records)))
     origin = Origin(
         displacement_unit=records[0].displacement_unit,
         voltage_unit=records[0].voltage_unit,

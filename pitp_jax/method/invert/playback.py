@@ -7,13 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from ..signal.record import sampling_interval
 from .feedforward_plan import Feedforward
 from .target import SAME
 
 
 def at_faster_rate(plan: Feedforward, rate: float | None) -> Feedforward:
     """Resample a feedforward at `rate` (Hz), if that is above its own rate; each flag is that of the sample before."""
-    spacing = float(plan.time[-1] - plan.time[0]) / (len(plan.time) - 1)
+    spacing = sampling_interval(plan.time)
     if rate is None or rate < (1 + SAME) / spacing:
         return plan
     count = int(np.ceil((plan.time[-1] - plan.time[0]) * rate * (1 - SAME))) + 1

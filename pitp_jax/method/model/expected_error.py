@@ -12,11 +12,13 @@ coefficients (docs/decisions/coverage.md). A trained model keeps those of record
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from ...common.metrics import rms
 from ..signal.excited import Table
 from .fitted import Fitted
 
@@ -44,7 +46,7 @@ def error_table(runs: Sequence[np.ndarray], errors: Sequence[np.ndarray], dt: fl
         for place, moves in zip(_windows(len(run)), _moves(run, dt), strict=True):
             seen = error[place][np.isfinite(error[place])]
             if 2 * len(seen) >= place.stop - place.start:
-                rows.append((*moves, float(np.sqrt(np.mean(seen**2)))))
+                rows.append((*moves, rms(seen)))
     table = np.array(rows).reshape(-1, 3)
     if not (table[:, 1] > 0).any():
         return ()
@@ -63,7 +65,7 @@ def merged(rows: Sequence[tuple[float, float, float]] | Float[np.ndarray, "rows 
     for k in range(int(cell.max()) + 1):
         some = table[cell.ravel() == k]
         hz, amplitude = np.exp(np.log(some[:, :2]).mean(0))
-        cells.append((float(hz), float(amplitude), float(np.sqrt(np.mean(some[:, 2] ** 2)))))
+        cells.append((float(hz), float(amplitude), rms(some[:, 2])))
     return tuple(cells)
 
 
@@ -98,7 +100,7 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
 def _windows(samples: int) -> list[slice]:
     # 8 windows, of at least 64 samples each
     edges = np.linspace(0, samples, max(1, min(8, samples // 64)) + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in zip(edges, edges[1:], strict=False)]
+    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
 
 
 def _moves(run: np.ndarray, dt: float) -> list[tuple[float, float]]:

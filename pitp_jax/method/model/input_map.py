@@ -5,6 +5,7 @@ linear:  F = u                   u = F                      (electronic benchmar
 """
 
 from abc import abstractmethod
+from collections.abc import Sequence
 from typing import ClassVar, TypeVar
 
 import equinox as eqx
@@ -13,6 +14,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from ...common.units import kind_of
+from ..signal.record import Record
 
 Values = TypeVar("Values", Array, np.ndarray)  # of any shape, traced or in float64 on the host
 
@@ -83,11 +85,12 @@ class LinearInput(AbstractInputMap):
 INPUT_MAPS = {kind.name: kind for kind in (SquareInput, LinearInput)}
 
 
-def usual_input_map(input_unit: str, output_unit: str) -> str:
-    """Return the name of the input map that units suggest: square for a voltage with a length, otherwise linear.
+def forces_of(records: Sequence[Record], input_map: str) -> list[np.ndarray]:
+    """Return the force of every record in input units (V^2 or V), shapes (T_r,)."""
+    return [INPUT_MAPS[input_map]().force(r.voltage) for r in records]
 
-    Args:
-        input_unit, output_unit: of the records.
-    """
-    kinds = kind_of(input_unit), kind_of(output_unit)
+
+def usual_input_map(record: Record) -> str:
+    """Return the name of the input map that units suggest: square for a voltage with a length, otherwise linear."""
+    kinds = kind_of(record.voltage_unit), kind_of(record.displacement_unit)
     return SquareInput.name if kinds == ("voltage", "length") else LinearInput.name

@@ -13,8 +13,9 @@ from typing import Literal
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.metrics import rms
 from .checks import MIN_SAMPLES
-from .record import Record
+from .record import Record, part_of
 
 Begins = Literal["rest", "held", "moving"]
 INITIAL_SAMPLES = 50  # the fewest that the state of a moving start is estimated from
@@ -62,6 +63,11 @@ def noise_std(displacement: np.ndarray) -> float:
     noise = float(min(1.4826 * np.median(np.abs(fifth)), fifth.std()) / np.sqrt(252.0))
     # a sensor that mostly repeats its value: rounding to its steps
     return _rounding(displacement) if noise == 0.0 and fifth.any() else noise
+
+
+def noise_of(records: Sequence[Record]) -> np.ndarray:
+    """Return the white sensor noise of every record, output unit, shape (records,)."""
+    return np.array([noise_std(r.displacement) for r in records])
 
 
 def _rounding(displacement: np.ndarray) -> float:
@@ -129,8 +135,7 @@ def from_known(record: Record) -> Record:
     first = min(first_known(record), record.samples - MIN_SAMPLES)
     if first <= 0:
         return record
-    time, voltage, displacement = (a[first:] for a in (record.time, record.voltage, record.displacement))
-    return replace(record, time=time, voltage=voltage, displacement=displacement)
+    return part_of(record, slice(first, None))
 
 
 def aligned(record: Record, beginning: Beginning, output) -> Record:
@@ -203,5 +208,5 @@ def rest_level(record: Record, residual: np.ndarray | None = None) -> tuple[floa
                 best, weights = (float(fit[0]), float(error)), inverse[0] @ basis.T
         window *= 2
     if residual is not None:
-        best = best[0], max(best[1], float(np.sqrt(np.mean(np.convolve(residual, weights[::-1], "valid") ** 2))))
+        best = best[0], max(best[1], rms(np.convolve(residual, weights[::-1], "valid")))
     return best

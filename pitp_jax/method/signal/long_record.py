@@ -6,13 +6,13 @@ It is read as band-limited between its samples. Linear interpolation would chang
 lag by 2 % at 15 Hz.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import scipy
 
 from .preprocess import force_band
-from .record import Record
+from .record import Record, part_of
 
 _MOST = 150_000  # samples kept in all
 _LEAST = 600  # samples kept if the record has them: 100 windows of six in `method/train/creep_balance`
@@ -70,10 +70,9 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     `force`: input of the equation (V^2 or V), shape (T,).
     """
     if record.samples > _READ:
-        time, voltage, displacement = (a[:_READ] for a in (record.time, record.voltage, record.displacement))
-        if not np.isfinite(displacement).any():
+        if not record.observed[:_READ].any():
             return None
-        record, force = replace(record, time=time, voltage=voltage, displacement=displacement), force[:_READ]
+        record, force = part_of(record, slice(_READ)), force[:_READ]
     if np.ptp(force) == 0:
         return None
     step = int(1 / (4.0 * force_band([force], record.dt) * record.dt))

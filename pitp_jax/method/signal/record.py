@@ -6,7 +6,7 @@ A missing output sample is nan in `displacement`; everything downstream masks it
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,11 @@ def own_column(values: Any, what: str) -> np.ndarray:
     return column
 
 
+def sampling_interval(time: np.ndarray) -> float:
+    """Return the mean step of uniform sample times, s."""
+    return float((time[-1] - time[0]) / (len(time) - 1))
+
+
 class Timed(Shown):
     """A series of samples at a uniform rate."""
 
@@ -46,7 +51,7 @@ class Timed(Shown):
     @property
     def dt(self) -> float:
         """Return the sampling interval, s."""
-        return float((self.time[-1] - self.time[0]) / (len(self.time) - 1))
+        return sampling_interval(self.time)
 
 
 def range_in(values: np.ndarray, unit: str) -> str:
@@ -125,3 +130,9 @@ class Record(Timed):
     def missing(self) -> int:
         """Return the number of missing output samples."""
         return int(self.samples - self.observed.sum())
+
+
+def part_of(record: Record, part: slice) -> Record:
+    """Return the record with only this part of its samples."""
+    time, voltage, displacement = (a[part] for a in (record.time, record.voltage, record.displacement))
+    return replace(record, time=time, voltage=voltage, displacement=displacement)

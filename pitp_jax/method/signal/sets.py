@@ -1,6 +1,7 @@
 """Check the rate and units of several records, find the start of the session clock, and group records by length."""
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from os import PathLike
 
 import numpy as np
@@ -74,7 +75,7 @@ def session_clock(records: Sequence[Record]) -> bool:
     """
     # in sequence: half a sample of overlap is rounding
     spans = sorted((record.time[0], record.time[-1], record.dt) for record in records)
-    return all(later[0] > span[1] - 0.5 * span[2] for span, later in zip(spans, spans[1:], strict=False))
+    return all(later[0] > span[1] - 0.5 * span[2] for span, later in pairwise(spans))
 
 
 def alike(records: Sequence, length: Callable[..., int] = lambda record: record.samples) -> list[list[int]]:
@@ -94,3 +95,9 @@ def alike(records: Sequence, length: Callable[..., int] = lambda record: record.
             sets.append([])
         sets[-1].append(k)
     return [sorted(places) for places in sets]
+
+
+def padded(voltages: Sequence[np.ndarray]) -> np.ndarray:
+    """Stack voltages of several lengths, shape (records, longest); the shorter ones hold their last value."""
+    size = max(map(len, voltages))
+    return np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages])

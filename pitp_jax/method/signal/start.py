@@ -18,6 +18,7 @@ from scipy.linalg.lapack import dtrtrs  # pyright: ignore[reportAttributeAccessI
 from scipy.special import logsumexp
 from threadpoolctl import threadpool_limits
 
+from ...common.metrics import rms
 from ..numerics.coloured_noise import block_means, project
 from .initial_state import Beginning, Begins, first_known, noise_std, rest_level, standing_drive
 from .record import Record
@@ -166,7 +167,7 @@ def _free_run(part: Record, response: Response, kind: Begins, direction: float, 
     factors, error = project(part.displacement[seen] - run[seen] - (zero or 0.0), columns[seen])
     offset = float(factors[-1]) if zero is None else zero
     level = offset + float(run[0] + free[0] @ factors[: free.shape[1]])
-    return _FreeRun(kind, direction, offset, level, float(np.sqrt(np.mean(error**2))))
+    return _FreeRun(kind, direction, offset, level, rms(error))
 
 
 def _simulated(response: Response, kind: Begins) -> np.ndarray:

@@ -16,6 +16,7 @@ from jaxtyping import Float
 from ..model.model import Model
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
+from ..signal.sets import padded
 from ..signal.start import Response, estimate_start, first_part
 from .model_runs import Models, evaluate, model_runs, models_of, runs_of, sample
 from .moving_start import moving_states, still
@@ -58,7 +59,7 @@ def beginnings(
     span = float(high - low) if np.isfinite(high - low) and high > low else None
     parts = [first_part(r, omega, span) for r in records]
     lengths = [p.samples for p in parts]
-    voltage = np.stack([np.pad(p.voltage, (0, max(lengths) - p.samples), mode="edge") for p in parts])
+    voltage = padded([p.voltage for p in parts])
     states = {
         "rest": evaluate(still, model, 0.0, 0.0, clock),
         "held": settled_states(model, voltage[:, 0], dt, clock),

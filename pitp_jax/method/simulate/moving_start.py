@@ -16,6 +16,7 @@ from jaxtyping import Array, Float
 from ..model.model import Model
 from ..signal.initial_state import INITIAL_SAMPLES, first_known
 from ..signal.record import Record
+from ..signal.sets import padded
 from .decoder import still_state
 from .model_runs import evaluate, model_runs
 
@@ -55,7 +56,7 @@ def moving_states(
     """
     counts, dt = [initial_samples(model, r) for r in records], records[0].dt
     given = list(zip(records, counts, strict=True))
-    voltage = np.stack([np.pad(r.voltage[:n], (0, max(counts) - n), mode="edge") for r, n in given])
+    voltage = padded([r.voltage[:n] for r, n in given])
     y = np.stack([np.pad(r.displacement[:n], (0, max(counts) - n), constant_values=np.nan) for r, n in given])
     x = model.output.to_model(y) / model.scales.state[0]
     seen = np.isfinite(x)

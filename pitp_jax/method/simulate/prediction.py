@@ -5,7 +5,7 @@
 A diverging rollout is a result, marked `diverged`, with nan after its divergence.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,7 +23,7 @@ from ..model.programs import on_device
 from ..model.substeps import substeps
 from ..signal.initial_state import Beginning, Begins, aligned
 from ..signal.record import Record
-from ..signal.sets import alike, check_set, session_clock
+from ..signal.sets import alike, check_set, padded, session_clock
 from . import ports
 from .beginnings import beginnings
 from .model_runs import evaluate, model_runs
@@ -109,6 +109,11 @@ def predict(model: Model | Fitted, records: Sequence[Record]) -> tuple[Predictio
     return tuple(_beside_trained(fitted, *both) for both in zip(records, simulate(fitted.model, records), strict=True))
 
 
+def predicted_pairs(model: Model | Fitted, records: Sequence[Record]) -> Iterator[tuple[Record, Prediction]]:
+    """Return every record with its prediction (`predict`)."""
+    return zip(records, predict(model, records), strict=True)
+
+
 def simulate(model: Model, records: Sequence[Record], known: Sequence[Beginning] = ()) -> list[Prediction]:
     """Simulate the model under the voltage of every record, without a comparison of the inputs; `known` as `begin`."""
     model, runs = at_rate(model, records[0].dt), {}
@@ -116,8 +121,7 @@ def simulate(model: Model, records: Sequence[Record], known: Sequence[Beginning]
     start, spent, begun = begin(model, records, known=known)
     # by length; otherwise one long record would pad all others
     for places in alike(records):
-        size = max(records[k].samples for k in places)
-        voltage = np.stack([np.pad(v := records[k].voltage, (0, size - len(v)), mode="edge") for k in places])
+        voltage = padded([records[k].voltage for k in places])
         found = model_runs(model, voltage, records[0].dt, np.asarray(start)[places])
         for k, states, seen in zip(places, *found, strict=True):
             runs[k] = _prediction(model, records[k], states, seen, spent[k], begun[k])
@@ -223,8 +227,7 @@ def _prediction(
     x = np.full(record.samples, np.nan)
     # the record's own offset and direction, because a session may have remounted the sensor
     x[:first] = begun.direction * seen[:first] * model.scales.state[0] + begun.zero
-    scored = np.ones(record.samples, bool)
-    scored[:spent] = False
+    scored = np.arange(record.samples) >= spent
     features = states[:first, : model.order + model.memory.size]
     outside = 1.0 if first == 0 else outside_fraction(model, features)
     words = outside_words(model, features, record.time[:first] - record.time[0])

@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Float
 
-from ...common.metrics import e_rms_percent
+from ...common.metrics import e_rms_percent, rms
 from ..fit.sensor_offset import with_offset
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted, fitted_of
@@ -22,7 +22,7 @@ from ..model.model import Hold, Model
 from ..signal.excited import Table
 from ..signal.initial_state import noise_std
 from ..signal.record import Record
-from ..simulate.prediction import Prediction, predict
+from ..simulate.prediction import Prediction, predicted_pairs
 
 _ALIKE = 1.01  # e_k(trained) / e_k(nominal) up to which a record is not worse: the effect of noise on a fit
 _DIVERGED = 1e6  # %; the value of a diverged run, so that means and ratios stay finite
@@ -44,7 +44,7 @@ class RecordError:
     def worse(self) -> bool:
         """Return whether training increased the error of this record beyond the effect of noise."""
         # not <= instead of >: two infinite errors are not a loss, nan is one
-        return not self.trained <= _allowed(self.nominal, self.noise)
+        return not self.trained <= np.hypot(_ALIKE * self.nominal, self.noise)
 
 
 @dataclass(frozen=True)
@@ -57,13 +57,13 @@ class Score:
 
 def errors(model: Model | Fitted, records: Sequence[Record]) -> Float[np.ndarray, " records"]:
     """Compute e_rms (%) of the simulation of every record; infinite if it diverges, 0 if nothing can be scored."""
-    return np.array([percent_of(p, r) for p, r in zip(predict(model, records), records, strict=True)])
+    return np.array([percent_of(p, r) for r, p in predicted_pairs(model, records)])
 
 
 def scores(model: Model | Fitted, records: Sequence[Record]) -> list[Score]:
     """Simulate every record, and return its errors; the cells are empty if it diverges."""
     results = []
-    for p, r in zip(predict(model, records), records, strict=True):
+    for r, p in predicted_pairs(model, records):
         error = np.where(p.scored, p.displacement - r.displacement, np.nan)
         cells = () if p.diverged else error_table([p.displacement], [error], r.dt)
         results.append(Score(percent_of(p, r), cells))
@@ -174,10 +174,5 @@ def kept(best: Candidate, compare: Judge, nominal: Model) -> tuple[Candidate, li
     return best, [], None
 
 
-def _allowed(nominal, noise):
-    """Return the largest error that does not count as worse than the nominal model's, % of range."""
-    return np.hypot(_ALIKE * np.asarray(nominal), noise)
-
-
 def _mean(errors) -> float:
-    return float(np.sqrt(np.mean(np.minimum(errors, _DIVERGED) ** 2)))
+    return rms(np.minimum(errors, _DIVERGED))

@@ -35,7 +35,7 @@ from ..fit.parameters import parameters, trainable, with_parameters
 from ..model.memory import FadingMemory, RingingMemory
 from ..model.model import Model
 from ..signal.excitation_kind import spread_over_kinds
-from ..signal.initial_state import Beginning, aligned, noise_std
+from ..signal.initial_state import Beginning, aligned, noise_of, noise_std
 from ..signal.record import Record
 from ..signal.sets import alike
 from ..simulate import ports
@@ -264,7 +264,7 @@ def _record_weights(model: Model, records: Sequence[Record]) -> Float[np.ndarray
     """
     x = [r.displacement[r.observed] / model.scales.state[0] for r in records]
     span = np.array([max(float(np.ptp(v)), 1e-12) for v in x])
-    noise = np.array([noise_std(r.displacement) for r in records]) / model.scales.state[0] / span
+    noise = noise_of(records) / model.scales.state[0] / span
     return 1e4 / span**2 * (1 + (100 * noise.min()) ** 2) / (1 + (100 * noise) ** 2)
 
 

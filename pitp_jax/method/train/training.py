@@ -10,7 +10,8 @@ The equation error is quick but does not show errors that build up over a run; f
 """
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 
@@ -243,11 +244,12 @@ def _attempts(
             fresh = with_encoder(data, settings, own, jax.random.fold_in(init, start))
             model = with_parts(fresh, nominal, settings)
         gain = np.inf
-        for step, entry in _until_lost(refined(model, 10.0 ** max(start - 2, 0))):
-            model = step
-            gain = (plain - entry.get("held_out", -np.inf)) / 2
-            # an interrupt returns the best, not an unfinished one
-            yield (model, gain, entry) if best is None else (best.model, best.held_out, {**entry, "start": start})
+        with suppress(ComputationFailed):  # a fit whose simulations diverge ends; training continues with another one
+            for step, entry in refined(model, 10.0 ** max(start - 2, 0)):
+                model = step
+                gain = (plain - entry.get("held_out", -np.inf)) / 2
+                # an interrupt returns the best, not an unfinished one
+                yield (model, gain, entry) if best is None else (best.model, best.held_out, {**entry, "start": start})
         found = compare(model, gain)
         # a start that gains less in the log score is the last one
         ends = best is not None and best.gain > 0 and found.gain < best.gain + 0.05
@@ -256,14 +258,6 @@ def _attempts(
             break
     if best is not None and start > 1:
         yield best.model, best.held_out, {"stage": "best", "error": best.mean**2}
-
-
-def _until_lost(steps: Iterator[tuple[Model, dict]]) -> Iterator[tuple[Model, dict]]:
-    """Yield the steps of one fit until its simulations diverge; training then continues with another one."""
-    try:
-        yield from steps
-    except ComputationFailed:
-        return
 
 
 def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Model:
@@ -276,6 +270,7 @@ def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Mo
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Run Algorithm 1 of the paper: yield (best model, history entry) after every stage."""
     best_model, best, constraint = model, np.inf, np.inf
+    dropout = settings.encoder != "compact"
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
@@ -289,8 +284,9 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = np.asarray(box, np.float32), np.float32(rate)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, model, data.equation, *box_rate, sub, **_in_an_epoch(settings)
-            )
+                params, static, state, model, data.equation, *box_rate, sub,
+                batch=settings.batch, width=settings.huber, penalty=settings.penalty, dropout=dropout,
+            )  # fmt: skip
             physics, constraint = float(physics), float(constraint)
             if not np.isfinite(physics + constraint):
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
@@ -304,12 +300,6 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         )
         if best > (1 - settings.tolerance) * at_stage:
             return
-
-
-def _in_an_epoch(settings: Settings) -> dict:
-    """Return the settings on which the compiled program of an epoch depends."""
-    dropout = settings.encoder != "compact"
-    return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 
 @jit
