@@ -9,6 +9,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
+from itertools import pairwise
 from typing import ClassVar, cast
 
 import numpy as np
@@ -108,7 +109,7 @@ def thin(values: np.ndarray, bins: int = BINS) -> np.ndarray:
         return np.arange(len(values))
     edges = np.linspace(0, len(values), bins + 1).astype(int)
     least, most = np.where(np.isnan(values), np.inf, values), np.where(np.isnan(values), -np.inf, values)
-    pairs = list(zip(edges[:-1], edges[1:], strict=True))
+    pairs = list(pairwise(edges))
     low, high = [a + np.argmin(least[a:b]) for a, b in pairs], [a + np.argmax(most[a:b]) for a, b in pairs]
     return np.unique(np.concatenate([[0, len(values) - 1], low, high]))
 

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 
 from ...common.errors import BadInput, cleaned
 from ...common.units import spelt
@@ -175,7 +176,7 @@ def _first(rows: Rows, body: Sequence[int], width: int, forms: Sequence[str], de
     if any(len(trimmed(row)) > 1 and not _numeric(row) for row in between):
         good = [k for k in good if k >= full]
     # two rows of numbers in sequence start the data
-    pairs = [k for k, after in zip(good, good[1:], strict=False) if body.index(after) == body.index(k) + 1]
+    pairs = [k for k, after in pairwise(good) if body.index(after) == body.index(k) + 1]
     return next(iter(pairs or good), None)
 
 

@@ -7,6 +7,7 @@ command can: a step of the input is a turn only if the output then follows the s
 """
 
 import math
+from itertools import pairwise
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def _unwrapped_input(
         return voltage, 0
     edges = np.concatenate([[0], steps + 1, [len(voltage)]])
     # in the second half of each stretch between two such steps the output has followed
-    late = [slice((begin + end) // 2, end) for begin, end in zip(edges, edges[1:], strict=False)]
+    late = [slice((begin + end) // 2, end) for begin, end in pairwise(edges)]
     follows = output / turn_of_output
     apart, reversed_apart = follows - voltage / period, -follows - voltage / period
     turns = np.round([apart[part].mean() for part in late])

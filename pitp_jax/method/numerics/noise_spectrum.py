@@ -7,6 +7,7 @@ mean 1. Only the last 60 % of a record is used, after its transients.
 """
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def colour_of(powers) -> Callable[[np.ndarray], np.ndarray]:
 def levels_of(frequency: np.ndarray, power: np.ndarray, edges: np.ndarray, colour) -> np.ndarray:
     """Return the noise density of every band, from its bins and the shape `colour` of the spectrum."""
     shape, levels = colour(frequency), []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    for low, high in pairwise(edges):
         here = (frequency >= low) & (frequency < high)
         # divided by the colour first, because with falling noise a plain quartile would represent the band's far end
         bins = np.quantile(power[here] / shape[here], 0.25) / _QUARTILE if here.any() else 0.0

@@ -7,6 +7,7 @@ strength.
 """
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -159,6 +160,6 @@ def _even(places: np.ndarray, line: np.ndarray, strength: np.ndarray, count: int
 def _ranks(values: Sequence[float]) -> np.ndarray:
     """Rank values from 0 to 1 at the middles of equal intervals; values within 1 % share a rank."""
     order, rank = np.argsort(values), np.zeros(len(values))
-    for before, here in zip(order[:-1], order[1:], strict=True):
+    for before, here in pairwise(order):
         rank[here] = rank[before] + (values[here] > values[before] + 0.01 * abs(values[before]))
     return (rank + 0.5) / (rank.max() + 1)

@@ -5,6 +5,7 @@
 States of all effects lie behind S and memory in the decoder's state, in the order of `model.effects`.
 """
 
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import jax
@@ -88,7 +89,7 @@ def films(model: "Model", parts: list, stages: tuple, h: float) -> tuple[tuple, 
         if effect.port == "IN" and not effect.delays:
             # stage by stage: a lag must be known at the middle of the step, where Runge-Kutta uses the force twice
             states, volts = parts[k], [effect.apply(stages[0], parts[k])]
-            for before, after in zip(stages[:-1], stages[1:], strict=True):
+            for before, after in pairwise(stages):
                 states = effect.advance(states, before, after, h / 2)
                 volts.append(effect.apply(after, states))
             parts[k], stages = states, tuple(volts)

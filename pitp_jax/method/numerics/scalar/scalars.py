@@ -7,17 +7,18 @@ Arrays are NumPy arrays of these, so slices, stacks and gathers cost nothing in 
 """
 
 import math
+import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 FOLDED: dict[str, Callable] = {
-    "add": lambda a, b: a + b,
-    "sub": lambda a, b: a - b,
-    "mul": lambda a, b: a * b,
+    "add": operator.add,
+    "sub": operator.sub,
+    "mul": operator.mul,
     "div": lambda a, b: float(np.divide(a, b)),
-    "neg": lambda a: -a,
+    "neg": operator.neg,
     "max": max,
     "min": min,
     "abs": abs,
@@ -35,17 +36,17 @@ FOLDED: dict[str, Callable] = {
     "sin": math.sin,
     "cos": math.cos,
     "pow": lambda a, b: float(np.power(float(a), b)),
-    "lt": lambda a, b: a < b,
-    "le": lambda a, b: a <= b,
-    "gt": lambda a, b: a > b,
-    "ge": lambda a, b: a >= b,
-    "eq": lambda a, b: a == b,
-    "ne": lambda a, b: a != b,
+    "lt": operator.lt,
+    "le": operator.le,
+    "gt": operator.gt,
+    "ge": operator.ge,
+    "eq": operator.eq,
+    "ne": operator.ne,
     "and": lambda a, b: a and b,
     "or": lambda a, b: a or b,
-    "xor": lambda a, b: a != b,
-    "not": lambda a: not a,
-    "is_finite": lambda a: math.isfinite(a),
+    "xor": operator.ne,
+    "not": operator.not_,
+    "is_finite": math.isfinite,
     "real": float,
 }
 TRUTHS = ("lt", "le", "gt", "ge", "eq", "ne", "and", "or", "xor", "not", "is_finite")
@@ -66,8 +67,8 @@ class Node:
     op: str
     args: tuple
     place: int
-    truth: bool = False
-    block: object = None
+    truth: bool
+    block: object
 
 
 @dataclass(frozen=True, eq=False)
