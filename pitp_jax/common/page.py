@@ -104,7 +104,7 @@ class Card:
 
     heading: str
     big: str
-    lines: Sequence[str] = ()
+    lines: Sequence[str]
     group: ClassVar[str] = "cards"
 
     def html(self) -> str:

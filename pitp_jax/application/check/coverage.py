@@ -8,6 +8,7 @@ that is more than half as wide as its lower end and holds no point above half th
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -37,7 +38,7 @@ class Coverage:
     gaps: tuple[tuple[float, float], ...]
     largest: float
     doubled: bool
-    unit: str = "V"
+    unit: str
 
     def advice(self) -> list[str]:
         """Write a sentence for every gap, and one if all inputs near the resonance have the same amplitude."""
@@ -107,5 +108,5 @@ def _gaps(strong: np.ndarray, resonance: float) -> list[tuple[float, float]]:
     """Return the intervals (Hz) near the resonance that no strong input excites, the ends of the range included."""
     low, high = _BELOW * resonance, _ABOVE * resonance
     ends = np.concatenate([[min(low, *strong)], strong, [max(high, *strong)]]) if len(strong) else np.array([low, high])
-    pairs = [(max(a, low), min(b, high)) for a, b in zip(ends[:-1], ends[1:], strict=True)]
+    pairs = [(max(a, low), min(b, high)) for a, b in pairwise(ends)]
     return [(float(a), float(b)) for a, b in pairs if b > 1.5 * a]

@@ -69,8 +69,8 @@ def _modes(one: dict, two: dict) -> list[Difference]:
         return [stiffness]
     return [
         stiffness,
-        measured("frequency of the least damped mode", here["natural_hz"], there["natural_hz"], "Hz", (None, None)),
-        measured("damping ratio of that mode", here["damping"], there["damping"], "", (None, None)),
+        measured("frequency of the least damped mode", here["natural_hz"], there["natural_hz"], "Hz"),
+        measured("damping ratio of that mode", here["damping"], there["damping"], ""),
     ]
 
 
@@ -83,7 +83,7 @@ def _effects(one: list[dict], two: list[dict]) -> list[Difference]:
             x, y = (side.get(key, {}).get(name) for side in sides)
             unit = (x or y or {}).get("unit", "")
             here, there = (v and float(v["value"]) for v in (x, y))
-            rows.append(measured(f"{key[0]} ({key[1]}): {name}", here, there, unit, (None, None)))
+            rows.append(measured(f"{key[0]} ({key[1]}): {name}", here, there, unit))
     return rows
 
 

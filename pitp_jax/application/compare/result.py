@@ -120,7 +120,7 @@ class Comparison(Shown):
                 "remarks": list(self.remarks), "pairs": pairs}  # fmt: skip
 
 
-def measured(what: str, a: float | None, b: float | None, unit: str, errors: Sequence[float | None]):
+def measured(what: str, a: float | None, b: float | None, unit: str, errors: Sequence[float | None] = (None, None)):
     """Compare two numbers with their standard errors (None: unknown)."""
     if a is None or b is None:
         return Difference(what, a, b, unit, None, True)  # a quantity of one side only: a difference without a size

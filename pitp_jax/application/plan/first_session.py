@@ -129,9 +129,7 @@ def drive(points: np.ndarray, seconds: float, limits: Limits) -> Planned:
     return Planned(f"sine_{hz[0]:.3g}Hz_{size}{unit}", "sine", text, time, voltage, limits.rest)
 
 
-def in_order(
-    recordings: Sequence[Planned], limits: Limits, *, alternate: bool = False, recorded: float = 0.0
-) -> tuple[Planned, ...]:
+def in_order(recordings: Sequence[Planned], limits: Limits, *, alternate: bool, recorded: float) -> tuple[Planned, ...]:
     """Number the recordings, set the stroke up to which each may follow, and negate every second one if `alternate`.
 
     `recorded`: the largest stroke of the earlier recordings, m.

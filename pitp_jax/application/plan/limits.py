@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 
 from ...common.errors import BadInput
-from ...common.numbers import rounded_up
 from ...common.quantity import Units
 
 _PER_PERIOD = 20  # samples a period of the highest frequency: a tenth of Nyquist
@@ -74,8 +73,3 @@ class Limits:
         It is at least half a period of the highest frequency, so that a step excites no more than the band.
         """
         return max(2.0 * abs(volts) / self.slew, 0.5 / self.band[1])
-
-
-def default_rate(high_hz: float) -> float:
-    """Return the default sampling rate, Hz: 100 samples per period of the highest frequency, rounded up."""
-    return rounded_up(100 * high_hz)

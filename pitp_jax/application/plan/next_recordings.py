@@ -32,7 +32,7 @@ class Next:
     recordings: tuple[Planned, ...]
     expected: tuple[float, ...]
     worth: int
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
 
 
 def bearable(model: Model, drives: Sequence[Planned], limits: Limits) -> tuple[list[Planned], tuple[str, ...]]:

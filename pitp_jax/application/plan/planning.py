@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...common.errors import BadInput
+from ...common.numbers import rounded_up
 from ...common.quantity import Units
 from ...common.shown import Shown
 from ...method.model.encoder import ConstantEncoder
@@ -22,7 +23,7 @@ from ...method.signal.record import Record
 from ...method.signal.sets import check_set
 from .drives import Planned
 from .first_session import FEWEST, POINTS, default_duration, drive, first_session, in_order, space_filling_set
-from .limits import Limits, default_rate
+from .limits import Limits
 from .next_recordings import bearable, following
 from .rests import first_rest, rest_after
 
@@ -171,7 +172,7 @@ def _missing(fitted: Fitted, limits: Limits, length: float) -> tuple[list[Planne
 
 def _stroke(record: Record) -> float:
     """Return the largest distance of a record's output from its first reading, m."""
-    read = record.displacement[np.isfinite(record.displacement)]
+    read = record.displacement[record.observed]
     return float(np.abs(read - read[0]).max())
 
 
@@ -219,7 +220,7 @@ def _limits(model, max_voltage, max_slew, max_displacement, band, rest, rate, un
                 f"a first session needs {' and '.join(missing)}; give the limits of the amplifier and the membrane"
             )
         low, high, steepest = 0.0, max_voltage, np.inf
-        rate, pause = rate or default_rate(band[1]), lambda: first_rest(band)
+        rate, pause = rate or rounded_up(100 * band[1]), lambda: first_rest(band)
     else:
         (low, high), steepest = model.domain.voltage_range, model.domain.slew
         # behind a square a negative voltage gives the same force as a positive one

@@ -37,7 +37,7 @@ _OTHERS = (
 )
 
 
-def _option(placeholder: str, kind: str, help_: str) -> Any:
+def _option(placeholder: str, help_: str, kind: str = "text") -> Any:
     return field(default=None, metadata={"placeholder": placeholder, "kind": kind, "help": help_})
 
 
@@ -52,38 +52,36 @@ class ReadOptions:
         BadInput: an unknown unit, a scale of zero, a rate that is not positive, all of them at once.
     """
 
-    time_column: str | None = _option("NAME", "text", "time column: its exact header, or its number counted from 1")
-    input_column: str | None = _option("NAME", "text", "input column: its exact header or its number")
-    output_column: str | None = _option("NAME", "text", "output column: its exact header or its number")
-    time_unit: str | None = _option("UNIT", "text", "unit of the time, overrides the file: s|ms|us|ns|min|h|d")
-    input_unit: str | None = _option(
-        "UNIT", "text", f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}"
-    )
+    time_column: str | None = _option("NAME", "time column: its exact header, or its number counted from 1")
+    input_column: str | None = _option("NAME", "input column: its exact header or its number")
+    output_column: str | None = _option("NAME", "output column: its exact header or its number")
+    time_unit: str | None = _option("UNIT", "unit of the time, overrides the file: s|ms|us|ns|min|h|d")
+    input_unit: str | None = _option("UNIT", f"unit of the input, overrides the file: {_VOLTS}, {_LENGTHS}, {_OTHERS}")
     output_unit: str | None = _option(
-        "UNIT", "text", f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"
+        "UNIT", f"unit of the output, overrides the file: {_LENGTHS}, {_VOLTS}, {_OTHERS}"
     )
-    input_scale: float | None = _option("S", "factor", "factor of the input column to V (monitor of 1 V per kV: 1000)")
-    output_scale: float | None = _option("S", "factor", "factor of the output column to m (2 mm per V: 0.002)")
-    input_offset: float | None = _option("U", "number", "subtracted from the input column, in the file's numbers")
-    output_offset: float | None = _option("Y", "number", "subtracted from the output column, in the file's numbers")
+    input_scale: float | None = _option("S", "factor of the input column to V (monitor of 1 V per kV: 1000)", "factor")
+    output_scale: float | None = _option("S", "factor of the output column to m (2 mm per V: 0.002)", "factor")
+    input_offset: float | None = _option("U", "subtracted from the input column, in the file's numbers", "number")
+    output_offset: float | None = _option("Y", "subtracted from the output column, in the file's numbers", "number")
     rate: float | None = _option(
-        "HZ", "positive", "samples per second: for files without a time column; overrides any other clock"
+        "HZ", "samples per second: for files without a time column; overrides any other clock", "positive"
     )
-    header_line: int | None = _option("N", "whole", "line with the column names, counted from 1")
-    units_line: str | None = _option("N|none", "text", "line with the units, counted from 1")
-    separator: str | None = _option("CHAR", "text", "separator of text files: a character, tab or blank")
-    decimal: str | None = _option(".|,", "text", "decimal mark of text files")
-    encoding: str | None = _option("NAME", "text", "encoding of text files: utf-8, cp1252, cp932, gb18030, ...")
-    sheet: str | None = _option("NAME", "text", "sheet of a workbook")
+    header_line: int | None = _option("N", "line with the column names, counted from 1", "whole")
+    units_line: str | None = _option("N|none", "line with the units, counted from 1")
+    separator: str | None = _option("CHAR", "separator of text files: a character, tab or blank")
+    decimal: str | None = _option(".|,", "decimal mark of text files")
+    encoding: str | None = _option("NAME", "encoding of text files: utf-8, cp1252, cp932, gb18030, ...")
+    sheet: str | None = _option("NAME", "sheet of a workbook")
     split_by: str | None = _option(
-        "COLUMN|sheet|group", "text", "several runs or joints in one file: split it by this column into recordings"
+        "COLUMN|sheet|group", "several runs or joints in one file: split it by this column into recordings"
     )
-    from_s: float | None = _option("S", "seconds", "use only the part from S on, in s after the first row")
-    to_s: float | None = _option("S", "seconds", "use only the part up to S, in s after the first row")
+    from_s: float | None = _option("S", "use only the part from S on, in s after the first row", "seconds")
+    to_s: float | None = _option("S", "use only the part up to S, in s after the first row", "seconds")
     join: tuple[str, ...] | None = _option(
-        "FILE", "files", "further files with columns of the same rows (time, input and output in separate files)"
+        "FILE", "further files with columns of the same rows (time, input and output in separate files)", "files"
     )
-    joint: str | None = _option("", "", "of the joints that `each` in `pitp.toml` names, the one to read")
+    joint: str | None = _option("", "of the joints that `each` in `pitp.toml` names, the one to read", "")
 
     def __post_init__(self):
         """Refuse options with which no file could be read."""

@@ -115,13 +115,14 @@ def unrefused(make: Callable[[Any], Any], tried: Iterable) -> Iterator[Any]:
         raise max(refusals, key=lambda error: isinstance(error, Refused) and bool(error.options))
 
 
-def together(refusals: Sequence[Refused], files: int) -> Refused:
+def together(refused: Mapping[str, Refused], files: int) -> Refused:
     """Return one error for all refusals: equal ones once, with the options of the first kind that has some.
 
     Args:
-        refusals: of single files.
+        refused: of single files, by name.
         files: number of files tried.
     """
+    refusals = list(refused.values())
     if len(refusals) == 1 and (files == 1 or not refusals[0].options):
         return refusals[0]
     # files of one kind are refused for one reason, reported once

@@ -130,7 +130,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
     mujoco.mj_mulM(model, data, column, unit)
     limited = bool(model.jnt_limited[number])
     hinge = bool(model.jnt_type[number] == kinds.mjJNT_HINGE)
-    _refuse_tendons(mujoco, model, number, file)
+    _refuse_tendons(mujoco, model, data, number, file)
     return Joint(
         name=joint, actuator=model.actuator(a).name, numbers=(number, a),
         joint_tag=_joint_tag(document, joint),
@@ -140,7 +140,7 @@ def joint_of(document: Document, joint: str, actuator: str | None = None) -> Joi
         gear=float(model.actuator_gear[a][0]), inertia=float(column[dof]),
         stiffness=float(np.ravel(model.jnt_stiffness[number])[0]), damping=float(np.ravel(model.dof_damping[dof])[0]),
         armature=float(model.dof_armature[dof]), frictionloss=float(model.dof_frictionloss[dof]),
-        limits=(float(model.jnt_range[number][0]), float(model.jnt_range[number][1])) if limited else None,
+        limits=tuple(model.jnt_range[number].tolist()) if limited else None,
         effort=_effort(model, a),
         delay=float(model.actuator_delay[a]) if hasattr(model, "actuator_delay") else 0.0,
         lag=float(model.actuator_dynprm[a][0]) if int(model.actuator_dyntype[a]) in _filters(mujoco) else 0.0,
@@ -162,12 +162,10 @@ def _gravity(mujoco: Any, model: Any, joint: int) -> tuple[float, ...]:
     return tuple(map(float, frame.T @ (g - axis * (g @ axis))))
 
 
-def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
+def _refuse_tendons(mujoco: Any, model: Any, data: Any, joint: int, file: str) -> None:
     """Refuse a joint that moves a tendon, whose force would be mistaken for the joint's."""
     if not model.ntendon:
         return
-    data = mujoco.MjData(model)
-    mujoco.mj_forward(model, data)
     before = np.array(data.ten_length)
     # rad or m: a tendon that follows changes its length
     data.qpos[model.jnt_qposadr[joint]] += 1e-3
@@ -182,7 +180,7 @@ def _refuse_tendons(mujoco: Any, model: Any, joint: int, file: str) -> None:
 
 
 def _effort(model: Any, a: int) -> float | None:
-    low, high = (float(end) for end in model.actuator_forcerange[a])
+    low, high = model.actuator_forcerange[a].tolist()
     # one number describes only a symmetric limit
     limited = bool(model.actuator_forcelimited[a]) and low == -high
     return high * abs(float(model.actuator_gear[a][0])) if limited else None

@@ -187,7 +187,7 @@ def _check_version(begin: bytes) -> None:
         )
 
 
-def _skeleton(header: dict, own: eqx.Module | None = None) -> Model:
+def _skeleton(header: dict, own: eqx.Module | None) -> Model:
     """Build the model of a header with shapes instead of arrays, so that no memory is allocated.
 
     Constants (scales, domain, sensor offset) are in the header.

@@ -33,19 +33,23 @@ from ...method.signal.excited import Table
 from ...method.signal.long_record import LongRecord
 
 
+def _nothing(part) -> dict:
+    return {}
+
+
 @dataclass(frozen=True)
 class Part:
     """How a model file stores one kind of part: its class, the numbers that rebuild it, and a constructor.
 
     Attributes:
         cls: the class; a part is stored under this name only if its type is exactly this.
-        describe: part to keyword arguments of `build`, JSON values only.
         build: keyword arguments to a part with the same leaves' shapes; called abstractly.
+        describe: part to keyword arguments of `build`, JSON values only; by default none.
     """
 
     cls: type
-    describe: Callable[[Any], dict]
     build: Callable[..., Any]
+    describe: Callable[[Any], dict] = _nothing
 
 
 def _compact_sizes(encoder: CompactEncoder) -> dict:
@@ -70,30 +74,22 @@ def _paper_sizes(encoder: PaperEncoder) -> dict:
     }
 
 
-def _nothing(part) -> dict:
-    return {}
-
-
-def _key():
-    return jax.random.key(0)
-
-
 INPUT_MAPS = {
-    "square": Part(SquareInput, _nothing, SquareInput),
-    "linear": Part(LinearInput, _nothing, LinearInput),
+    "square": Part(SquareInput, SquareInput),
+    "linear": Part(LinearInput, LinearInput),
 }
 ENCODERS = {
-    "constant": Part(ConstantEncoder, lambda e: {"outputs": e.outputs}, ConstantEncoder),
+    "constant": Part(ConstantEncoder, ConstantEncoder, lambda e: {"outputs": e.outputs}),
     "compact": Part(
         CompactEncoder,
-        _compact_sizes,
         lambda offset, frugal=0, remainder=0, **k: CompactEncoder(
-            **k, offset=bool(offset), frugal=bool(frugal), remainder=bool(remainder), key=_key()
+            **k, offset=bool(offset), frugal=bool(frugal), remainder=bool(remainder), key=jax.random.key(0)
         ),
+        _compact_sizes,
     ),
-    "paper": Part(PaperEncoder, _paper_sizes, lambda **k: PaperEncoder(**k, key=_key())),
+    "paper": Part(PaperEncoder, lambda **k: PaperEncoder(**k, key=jax.random.key(0)), _paper_sizes),
     # its module is not rebuilt from the file, which could then choose the code that runs; the caller supplies it
-    "own": Part(OwnEncoder, lambda e: {"module": type(e.module).__name__}, OwnEncoder),
+    "own": Part(OwnEncoder, OwnEncoder, lambda e: {"module": type(e.module).__name__}),
 }
 
 
@@ -109,22 +105,22 @@ def _adapted(lags: int, of: str, **sizes) -> AdaptedEncoder:
     return AdaptedEncoder(inner, jnp.zeros(()), jnp.zeros((lags,)), jnp.zeros((2,)), np.zeros(3))
 
 
-ENCODERS["adapted"] = Part(AdaptedEncoder, _adapted_sizes, _adapted)
+ENCODERS["adapted"] = Part(AdaptedEncoder, _adapted, _adapted_sizes)
 MEMORIES = {
-    "none": Part(NoMemory, _nothing, NoMemory),
-    "elapsed": Part(ElapsedTime, lambda m: {"horizon": float(m.horizon)}, ElapsedTime),
-    "fading": Part(FadingMemory, lambda m: {"size": m.size}, lambda size: FadingMemory(jnp.zeros((size,)))),
+    "none": Part(NoMemory, NoMemory),
+    "elapsed": Part(ElapsedTime, ElapsedTime, lambda m: {"horizon": float(m.horizon)}),
+    "fading": Part(FadingMemory, lambda size: FadingMemory(jnp.zeros((size,))), lambda m: {"size": m.size}),
     "ringing": Part(
         RingingMemory,
-        lambda m: {"lags": m.size - 2},
         lambda lags: RingingMemory(jnp.zeros(()), jnp.zeros(()), jnp.zeros((lags,))),
+        lambda m: {"lags": m.size - 2},
     ),
 }
 DRIVES = {
-    "direct": Part(DirectDrive, _nothing, DirectDrive),
-    "electrode_lag": Part(ElectrodeLag, _nothing, lambda: ElectrodeLag(jnp.zeros(()))),
+    "direct": Part(DirectDrive, DirectDrive),
+    "electrode_lag": Part(ElectrodeLag, lambda: ElectrodeLag(jnp.zeros(()))),
 }
-EFFECTS = {spec.key: Part(Effect, _nothing, spec.neutral) for spec in (*CATALOGUE, TERM)}
+EFFECTS = {spec.key: Part(Effect, spec.neutral) for spec in (*CATALOGUE, TERM)}
 
 
 def describe(fitted: Fitted) -> dict:
@@ -156,7 +152,7 @@ def _effect(effect) -> dict:
     key = effect.spec.key if isinstance(effect, Effect) else type(effect).__name__
     if key not in EFFECTS:
         raise BadInput(f"cannot save the model: {key} is not an effect of the catalogue")
-    return {"name": key, **EFFECTS[key].describe(effect)}
+    return {"name": key}
 
 
 def _numbers(part: Output | Scales | Domain) -> dict:
@@ -212,7 +208,7 @@ def _bands(stored: dict | None) -> OutOfFold | None:
 
 def origin_of(header: dict) -> Origin:
     """Restore the origin from a header, with control characters removed from its texts."""
-    stored = _without_control(header["origin"])
+    stored = _each(lambda one: cleaned(one) if isinstance(one, str) else one, header["origin"])
     origin = Origin(
         displacement_unit=str(stored["displacement_unit"]),
         voltage_unit=str(stored["voltage_unit"]),
@@ -240,11 +236,6 @@ def origin_of(header: dict) -> Origin:
 def _table(stored: dict, name: str) -> Table:
     """Restore a table with a row of three numbers for every frequency; empty for files without one."""
     return tuple((float(hz), float(amplitude), float(value)) for hz, amplitude, value in stored.get(name, ()))
-
-
-def _without_control(value: Any) -> Any:
-    """Remove control characters from every text in a value, including the keys of dicts."""
-    return _each(lambda one: cleaned(one) if isinstance(one, str) else one, value)
 
 
 def _each(change: Callable[[Any], Any], value: Any) -> Any:

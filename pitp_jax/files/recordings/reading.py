@@ -64,7 +64,7 @@ def read(*paths: str | os.PathLike, **said: Any) -> tuple[Record, ...]:
     """
     records, refused, files = _attempted(paths, options_of(said))
     if refused:
-        raise together(list(refused.values()), files)
+        raise together(refused, files)
     check_set(records)
     return tuple(records)
 
@@ -83,7 +83,7 @@ def read_each(
     """
     records, refused, files = _attempted(paths, options_of(reading))
     if not records:
-        raise together(list(refused.values()), files)
+        raise together(refused, files)
     return tuple(records), {name: str(error) for name, error in refused.items()}
 
 

@@ -63,7 +63,7 @@ def read_voltage(*paths: str | os.PathLike, **said: Any) -> tuple[Drive, ...]:
     """
     drives, refused, files = attempted(paths, options_of(said), ("time", "voltage"), _drives)
     if refused:
-        raise together(list(refused.values()), files)
+        raise together(refused, files)
     return tuple(drives)
 
 

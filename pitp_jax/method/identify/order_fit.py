@@ -70,11 +70,11 @@ class OrderFit(Shown):
     converged: bool
     poles_known: bool
     identifiable: bool
-    static: bool = False
-    integrates: bool = False
-    delay: float = 0.0
-    delay_stderr: float = 0.0
-    input_offset: float = 0.0
+    static: bool
+    integrates: bool
+    delay: float
+    delay_stderr: float
+    input_offset: float
 
     @property
     def hidden(self) -> list[int]:

@@ -106,7 +106,7 @@ def _first(mask: np.ndarray) -> int:
     return int(np.argmax(mask))
 
 
-def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
+def _check_shapes(arrays, source, columns, least):
     for values, column in zip(arrays, columns, strict=True):
         if values.ndim != 1:
             raise BadInput(
@@ -127,7 +127,7 @@ def _check_shapes(arrays, source, columns, least=MIN_SAMPLES):
         )
 
 
-def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> None:
+def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[int], str]) -> None:
     """Refuse missing times, and times beyond the range of any clock."""
     missing = np.isnan(time)
     if missing.any():
@@ -143,7 +143,7 @@ def _check_clock(time: np.ndarray, source: str, column: str, place: Callable[[in
         )
 
 
-def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> None:
+def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str]) -> None:
     """Refuse times that are missing, do not increase, or leave the uniform grid by more than 1 % of a sample.
 
     Args:
@@ -161,7 +161,7 @@ def check_time(time: np.ndarray, source: str, column: str, place: Callable[[int]
         refuse_time(time, source, column, place)
 
 
-def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str] = sample) -> NoReturn:
+def refuse_time(time: np.ndarray, source: str, column: str, place: Callable[[int], str]) -> NoReturn:
     """Refuse times off a uniform grid, with the first sample that is off; arguments as for `check_time`.
 
     Raises:

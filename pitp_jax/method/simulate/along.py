@@ -18,7 +18,7 @@ from ..numerics.path_derivative import path_derivatives
 from . import ports
 
 
-def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero = "rest") -> Float[Array, " time"]:
+def motion_along(model: Model, displacement: Float[Array, " time"], dt, zero: Zero) -> Float[Array, " time"]:
     """Compute the scaled displacement x of a reading or displacement (m), without the effects of the sensor."""
     x = (to_model(model, displacement, zero) / model.scales.state[0]).astype(displacement.dtype)
     return ports.moves(model, x, dt) if model.effects else x
