@@ -77,7 +77,7 @@ def diagnose(
         diagnosis = run_diagnosis(model, read_in, refit_nominal=refit_nominal or None, **options)
         augmented = descended(diagnosis.model, "diagnose", read_in, model)
     else:
-        read_in, simulated = (read_records(paths, reading, square=False) for paths in (records, against))
+        read_in, simulated = (read_records(paths, reading, input_map="linear") for paths in (records, against))
         warn(read_in)
         diagnosis = run_diagnosis(read_in, against=simulated, position_gain=position_gain, **options)
         augmented = descended(diagnosis.model, "diagnose against a simulator", read_in, diagnosis.nominal)

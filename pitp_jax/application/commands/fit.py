@@ -22,7 +22,7 @@ from .console import ProgressLine, number, say
 from .fit_errors import errors_json, explained, print_errors, suspects
 from .outputs import REPORT, check_outputs, staged, write_json
 from .predict import scored
-from .recordings import check_belongs, is_square, read_records, warn
+from .recordings import check_belongs, read_records, warn
 from .reports import listed, print_history
 
 
@@ -54,7 +54,7 @@ def fit(
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, nominal])
     given = _given(nominal, order, input_map) if nominal else None
-    read_in = read_records(records, reading, square=is_square(given) if given else input_map)
+    read_in = read_records(records, reading, input_map=given.input_map.name if given else input_map)
     warn(read_in)
 
     def identified(some: Sequence[Record]) -> Identification:

@@ -36,9 +36,9 @@ def identify(records, out, order, input_map, learn, json_file, reading, leave_ou
         BadInput, ComputationFailed: with nothing written.
     """
     check_outputs(out, json_file, folder=report, names=[REPORT], inputs=[*records, *validate])
-    read_in = read_records(records, reading, square=input_map)
+    read_in = read_records(records, reading, input_map=input_map)
     warn(read_in)
-    apart = read_records(validate, reading, square=input_map)
+    apart = read_records(validate, reading, input_map=input_map)
     identified = run_identify(read_in, order=order, input_map=input_map, learn=learn, leave_out=leave_out, progress=say)
     summary = describe(identified.model)
     if apart:

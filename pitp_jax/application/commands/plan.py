@@ -17,7 +17,7 @@ from ..plan.planning import plan as make_plan
 from .amounts import Amount, limits_in_base
 from .console import print_table
 from .outputs import check_outputs, staged, write_json
-from .recordings import check_belongs, is_square, read_records
+from .recordings import check_belongs, read_records
 
 PAGE, JSON = "plan.html", "plan.json"
 
@@ -41,8 +41,7 @@ def plan(paths, out, max_voltage, max_slew, max_displacement, band, reading, jso
     given, records = _sorted(paths)
     check_outputs(json_file, folder=out, names=[PAGE, JSON], inputs=paths)
     model = None if given is None else load(given)
-    square = model is None or is_square(model)
-    read_in = read_records(records, reading, square=square)
+    read_in = read_records(records, reading, input_map=model and model.input_map.name)
     if read_in and model is not None:
         check_belongs(model, str(given), read_in)
     units = _first_units(max_voltage, max_displacement) if model is None else units_of(model)

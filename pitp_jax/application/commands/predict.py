@@ -20,7 +20,7 @@ from ...method.simulate.prediction import predict as run_predict
 from ..pages.tables import scores as scores_table
 from .console import number, print_table
 from .outputs import REPORT, check_outputs, csv_names, staged
-from .recordings import is_square, open_both
+from .recordings import open_both
 from .reports import listed, print_sensors
 
 
@@ -62,7 +62,7 @@ def predict(model, records, out, json_file, reading) -> None:
             f"uncertain how the recording starts (at rest, settled or in motion): {listed(open_ones)}. The "
             "error may come from this; record a second of rest at 0 V first"
         )
-    units = Units(Quantity(read_in[0].voltage_unit), Quantity(read_in[0].displacement_unit), is_square(loaded))
+    units = Units(Quantity(read_in[0].voltage_unit), Quantity(read_in[0].displacement_unit), loaded.input_map.one_sided)
     print_sensors(_sensors(read_in, predictions), units)
     if all(row["diverged"] for row in scores.values()):
         raise ComputationFailed(

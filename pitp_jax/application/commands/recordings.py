@@ -16,13 +16,13 @@ from .console import say
 from .reports import listed
 
 
-def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | None) -> tuple[Record, ...]:
+def read_records(paths: Sequence[str], reading: dict, *, input_map: str | None) -> tuple[Record, ...]:
     """Read recordings, and print what was recognised, what was masked, and what looks wrong.
 
     Args:
         paths: files and folders; without any, no records are returned.
         reading: keyword arguments of `pitp.read`.
-        square: whether the force is known to be the square of the voltage; or the name of an input map; None: by units.
+        input_map: name of the input map, as far as it is known; None: by units.
 
     Raises:
         BadInput: as `pitp.read`.
@@ -32,9 +32,9 @@ def read_records(paths: Sequence[str], reading: dict, *, square: bool | str | No
     records = read(*paths, **reading)
     for line in recognised(records):
         say(line)
-    if square is None:
-        square = usual_input_map(records[0].voltage_unit, records[0].displacement_unit)
-    if square in (True, SquareInput.name) and (warning := monitor_warning(records)):
+    if input_map is None:
+        input_map = usual_input_map(records[0])
+    if input_map == SquareInput.name and (warning := monitor_warning(records)):
         say(f"warning: {warning}")
     return records
 
@@ -51,7 +51,7 @@ def open_both(model: str, records: Sequence[str], reading: dict) -> tuple[Fitted
         BadInput: one cannot be read, or they do not belong together.
     """
     loaded = load(model)
-    read_in = read_records(records, reading, square=is_square(loaded))
+    read_in = read_records(records, reading, input_map=loaded.input_map.name)
     check_belongs(loaded, model, read_in)
     return loaded, read_in
 
@@ -75,11 +75,6 @@ def recognised(records: Sequence[Record]) -> list[str]:
             kinds.setdefault(kind, []).append(record.name)
             remarks += seen["findings"]
     return [f"read {listed(names, 3)}: {kind}" for kind, names in kinds.items()] + by_kind(remarks)
-
-
-def is_square(model: Fitted) -> bool:
-    """Return whether the square of the voltage drives the model (otherwise the voltage itself)."""
-    return isinstance(model.input_map, SquareInput)
 
 
 def check_kind(model: Fitted, path: str, unit: str, source: str, stem: str = "output") -> None:

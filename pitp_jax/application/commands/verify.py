@@ -2,7 +2,7 @@
 
 from ...common.errors import ComputationFailed, refuse_if
 from ...common.units import from_base
-from ...files.mjcf.verify import Verification, verify_mjcf
+from ...files.mjcf.verify import verify_mjcf
 from ...files.recordings.writing import write_csv
 from ..pages.drawing import write_page
 from ..pages.mjcf import page, table
@@ -29,7 +29,7 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
         BadInput: with nothing written.
         ComputationFailed: the changed file is not better beyond the noise; the results are written.
     """
-    used, others = (read_records(paths, reading, square=False) for paths in (records, held_out))
+    used, others = (read_records(paths, reading, input_map="linear") for paths in (records, held_out))
     files = csv_names((*used, *others))
     same = len(set(files)) < len(files)
     refuse_if((same, "a held-out recording has the same name as another recording; rename one of them"))
@@ -44,7 +44,9 @@ def verify(records, mjcf, before, joint, actuator, held_out, out, json_file, rea
                 columns |= {f"{n}_{unit}": from_base(v, unit) for n, v in series.items() if v is not None}
                 write_csv(stage / file, columns)
             write_page(stage / REPORT, page(result))
-    _print(result)
+    print_table(table(result), 3)
+    for line in result.lines():
+        print(line)
     if result.better is False:
         raise ComputationFailed(f"{mjcf} is not significantly better than {before}; keep the old file")
 
@@ -61,9 +63,3 @@ def one_joint(joint: list[str] | None) -> str:
         (len(names) > 1, "several --joint need --each NAME=INPUT,OUTPUT once per joint, in the same order"),
     )
     return names[0]
-
-
-def _print(result: Verification) -> None:
-    print_table(table(result), 3)
-    for line in result.lines():
-        print(line)
