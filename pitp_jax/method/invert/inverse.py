@@ -8,7 +8,6 @@ Each signal is one recording; the caller vmaps, or `sharded_inverse` distributes
 
 from typing import Literal
 
-import equinox as eqx
 import jax
 import numpy as np
 from jax.sharding import Mesh
@@ -77,12 +76,9 @@ def _inverse(model: Model, displacement: Float[Array, " time"], dt, kind: Kind, 
     return voltage.astype(equation.dtype), unreachable(model, force, dt), force
 
 
-class _Inverse(eqx.Module):
-    dt: float = eqx.field(static=True)
-
-    def __call__(self, model, equation):
-        # one record after the other: an inverse is an array over time already, and long records fill the memory
-        return jax.lax.map(lambda e: invert_path(model, e, self.dt)[1], equation)
+def _voltages(model, equation, dt: float):
+    # one record after the other: an inverse is an array over time already, and long records fill the memory
+    return jax.lax.map(lambda e: invert_path(model, e, dt)[1], equation)
 
 
 def sharded_inverse(
@@ -109,4 +105,4 @@ def sharded_inverse(
     # on the host, in float64, because float32 has too few digits for derivatives
     rows = np.stack([fast_derivatives(x, dt, model.order) for x in displacement]) / model.scales.state
     batch = spread((rows.astype(model.coefficients.dtype),), mesh)
-    return local_rows(over_records(_Inverse(float(dt)), mesh, model, batch), len(displacement))
+    return local_rows(over_records(_voltages, mesh, model, batch, dt=float(dt)), len(displacement))

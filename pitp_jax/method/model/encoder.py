@@ -354,12 +354,9 @@ class PaperEncoder(AbstractEncoder):
 
     def __call__(self, features, *, key=None):
         """Compute the logits of one instant, shape (n + 2,); the logit of the offset token is always zero."""
-        count = len(self.networks.readout.weight)
-        if key is None:  # no dropout without a key, because a rollout must not draw random numbers
-            logits = eqx.filter_vmap(lambda net: net(features, None))(self.networks)
-        else:
-            keys = jax.random.split(key, count)
-            logits = eqx.filter_vmap(lambda net, k: net(features, k))(self.networks, keys)
+        # no dropout without a key, because a rollout must not draw random numbers
+        keys = None if key is None else jax.random.split(key, len(self.networks.readout.weight))
+        logits = eqx.filter_vmap(lambda net, k: net(features, k))(self.networks, keys)
         return jnp.concatenate([logits, jnp.zeros((1,), logits.dtype)])
 
     def over(self, way="instants"):

@@ -71,24 +71,21 @@ def local_rows(array: Array, count: int) -> np.ndarray:
 
 
 @jit
-def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple):
-    """Run function(model, *batch) on all devices in parallel, each with its own records."""
-    # `shard_map` takes only arrays; static values are in the function
+def over_records(function: Callable, mesh: Mesh, model: Model, batch: tuple, **how):
+    """Run function(model, *batch, **how) on all devices in parallel, each with its own records."""
+    # `shard_map` takes only arrays; static values are in `how`
     arrays, static = eqx.partition(model, eqx.is_array)
 
     def local(arrays, batch):
-        return function(eqx.combine(arrays, static), *batch)
+        return function(eqx.combine(arrays, static), *batch, **how)
 
     mine, all_of_it = PartitionSpec(_AXIS), PartitionSpec()
     run: Any = jax.shard_map(local, mesh=mesh, in_specs=(all_of_it, mine), out_specs=mine, check_vma=False)
     return run(arrays, batch)
 
 
-class _Rollout(eqx.Module):
-    dt: float = eqx.field(static=True)
-
-    def __call__(self, model, voltage, start):
-        return fast_rollout(model, voltage, self.dt, start)
+def _rollout(model, voltage, start, dt: float):
+    return fast_rollout(model, voltage, dt, start)
 
 
 def sharded_rollout(
@@ -122,4 +119,4 @@ def sharded_rollout(
     model = model_of(model)
     dtype = model.coefficients.dtype
     batch = spread((np.asarray(voltage, dtype), np.asarray(start, dtype)), mesh)
-    return local_rows(over_records(_Rollout(float(dt)), mesh, model, batch), len(voltage))
+    return local_rows(over_records(_rollout, mesh, model, batch, dt=float(dt)), len(voltage))
