@@ -14,12 +14,12 @@ import pitp_jax
 
 PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
-    "common": 5836, "method/numerics": 9880, "method/signal": 13259, "method/model": 12501, "method/effects": 11143,
-    "method/simulate": 18944, "method/fit": 7481, "method/identify": 25635, "method/train": 15467,
-    "method/invert": 19007, "method/diagnose": 51066, "method/adapt": 4753, "files/containers": 32142,
-    "files/recordings": 12717, "files/model_file": 5596, "files/export": 11367, "files/mjcf": 8862,
-    "application/commands": 18331, "application/pages": 10941, "application/compare": 10611, "application/plan": 9323,
-    "application/check": 7813, "application/against": 3401, "application/demo": 4012, "application/plant": 2449,
+    "common": 5831, "method/numerics": 9807, "method/signal": 13244, "method/model": 12500, "method/effects": 11143,
+    "method/simulate": 18938, "method/fit": 7481, "method/identify": 25565, "method/train": 15361,
+    "method/invert": 18970, "method/diagnose": 51066, "method/adapt": 4675, "files/containers": 32126,
+    "files/recordings": 12690, "files/model_file": 5554, "files/export": 11367, "files/mjcf": 8820,
+    "application/commands": 18274, "application/pages": 10936, "application/compare": 10522, "application/plan": 9206,
+    "application/check": 7780, "application/against": 3386, "application/demo": 3985, "application/plant": 2431,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}
 OPENS, CLOSES = (getattr(tokenize, f"FSTRING_{end}", None) for end in ("START", "END"))  # since Python 3.12

@@ -338,7 +338,7 @@ def test_unknown_parts_are_not_saved(tmp_path):
 
 
 def test_an_effect_needs_one_line(tmp_path, monkeypatch):
-    line = parts.Part(Effect, lambda effect: {}, TOMORROW.neutral)
+    line = parts.Part(Effect, TOMORROW.neutral)
     monkeypatch.setitem(parts.EFFECTS, TOMORROW.key, line)
     saved = model(effects=(TOMORROW(2.0), TOMORROW(5.0)))
     model_file.save(tmp_path / "m", saved)

@@ -54,7 +54,7 @@ def rmse(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = 
         return float("inf")
     error = predicted - measured
     scale = float(np.abs(error).max())  # avoids an overflow of the squares of a nearly diverged prediction
-    return scale * float(np.sqrt(np.mean((error / scale) ** 2))) if scale > 0 else 0.0
+    return scale * rms(error / scale) if scale > 0 else 0.0
 
 
 def e_rms_percent(predicted: np.ndarray, measured: np.ndarray, mask: np.ndarray | None = None) -> float:

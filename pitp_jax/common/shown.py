@@ -28,7 +28,7 @@ class Shown:
 
     def _rows(self) -> Any:
         """Return the table as dicts (one per row), or as arrays of one length by name (by default the fields)."""
-        arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and _is_array(v)}  # pyright: ignore[reportArgumentType]
+        arrays = {f.name: v for f in fields(self) if np.ndim(v := getattr(self, f.name)) == 1 and hasattr(v, "dtype")}  # pyright: ignore[reportArgumentType]
         longest = max(map(len, arrays.values()), default=0)  # series over time, not a few coefficients
         return {name: v for name, v in arrays.items() if len(v) == longest}
 
@@ -48,14 +48,10 @@ class Shown:
         return f"<pre>{escape(repr(self))}</pre>{drawn}"
 
 
-def _is_array(value) -> bool:
-    return hasattr(value, "dtype")
-
-
 def _brief(value) -> str:
     """Describe the value of a field in one short line."""
     width = 100  # characters
-    if _is_array(value) and np.ndim(value):
+    if hasattr(value, "dtype") and np.ndim(value):
         numbers = np.asarray(value, float)
         seen = numbers[np.isfinite(numbers)]
         span = f", {seen.min():.4g} to {seen.max():.4g}" if seen.size else ""

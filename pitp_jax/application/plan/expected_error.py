@@ -20,10 +20,10 @@ from ...method.fit.parameters import parameters
 from ...method.model.model import Model
 from ...method.signal.initial_state import noise_of
 from ...method.signal.record import Record
-from ...method.signal.sets import alike, padded
+from ...method.signal.sets import alike
 from ...method.simulate.beginnings import settled_states
 from ...method.simulate.decoder import rest_state
-from ...method.simulate.model_runs import model_runs
+from ...method.simulate.model_runs import model_runs, padded
 from ...method.simulate.prediction import FAR, at_rate, predicted_pairs
 from ...method.train.refine import prior_weights, thinning
 from ...method.train.settings import Settings, firmness_of

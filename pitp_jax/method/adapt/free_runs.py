@@ -21,9 +21,8 @@ from ..model.programs import double_on_cpu, in_double, jit
 from ..numerics.coloured_noise import project
 from ..signal.initial_state import Beginning, aligned, noise_of
 from ..signal.record import Record
-from ..signal.sets import padded
 from ..simulate.beginnings import settled_states
-from ..simulate.model_runs import Models, model_runs
+from ..simulate.model_runs import Models, model_runs, padded
 from ..simulate.prediction import FAR
 
 _STEP = 1e-5  # of forward differences in float64

@@ -32,7 +32,7 @@ def untrained(model: Model | Fitted, side: Side, series: np.ndarray, dt: float) 
 
 
 def _resonance(fitted: Fitted) -> float:
-    return float(fitted.model.natural_frequency) / (2 * np.pi)
+    return fitted.model.natural_frequency / (2 * np.pi)
 
 
 def untrained_words(model: Model | Fitted, side: Side, part: Beyond) -> str:

@@ -100,7 +100,7 @@ def expected_error(model: Fitted, displacement: np.ndarray, dt: float) -> Expect
 def _windows(samples: int) -> list[slice]:
     # 8 windows, of at least 64 samples each
     edges = np.linspace(0, samples, max(1, min(8, samples // 64)) + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(edges)]
+    return [slice(a, b) for a, b in pairwise(edges)]
 
 
 def _moves(run: np.ndarray, dt: float) -> list[tuple[float, float]]:

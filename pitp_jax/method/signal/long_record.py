@@ -61,7 +61,7 @@ class LongRecord:
         return Record("long record", self.dt * np.arange(len(displacement)), self._between(voltage), displacement)
 
     def _between(self, kept: np.ndarray) -> np.ndarray:
-        return kept if self.step == 1 else scipy.signal.resample_poly(kept, self.step, 1, padtype="line")
+        return scipy.signal.resample_poly(kept, self.step, 1, padtype="line")
 
 
 def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
@@ -79,15 +79,14 @@ def thinned(record: Record, force: np.ndarray, rest: bool) -> LongRecord | None:
     # rounded up: never more than the most that are kept
     step = max(step, -(-record.samples // _MOST), 1)
     step = min(step, max(record.samples // _LEAST, 1))
-    known = record.observed
     # the low-pass needs every sample
     seen = np.ones(-(-record.samples // step), bool)
     # a kept sample is missing if any sample of its block is
-    seen[np.flatnonzero(~known) // step] = False
+    seen[np.flatnonzero(~record.observed) // step] = False
     displacement = np.where(seen, _thin(record.filled, step), np.nan)
     return LongRecord(record.dt, step, rest, _thin(record.voltage, step).astype("<f4"), displacement.astype("<f4"))
 
 
 def _thin(values: np.ndarray, step: int) -> np.ndarray:
     """Low-pass and thin a signal about the line between its ends; an offset would otherwise distort both ends."""
-    return values if step == 1 else scipy.signal.resample_poly(values, 1, step, padtype="line")
+    return scipy.signal.resample_poly(values, 1, step, padtype="line")

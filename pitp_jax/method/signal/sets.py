@@ -95,9 +95,3 @@ def alike(records: Sequence, length: Callable[..., int] = lambda record: record.
             sets.append([])
         sets[-1].append(k)
     return [sorted(places) for places in sets]
-
-
-def padded(voltages: Sequence[np.ndarray]) -> np.ndarray:
-    """Stack voltages of several lengths, shape (records, longest); the shorter ones hold their last value."""
-    size = max(map(len, voltages))
-    return np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages])

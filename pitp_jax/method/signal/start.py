@@ -189,10 +189,9 @@ def _with_offset(part: Record, response: Response, run: _FreeRun, certainty: flo
         best = min(known, key=lambda r: r.error) if known else run
         return Beginning(run.kind, run.direction, best.zero, run.error, certainty=certainty, level=best.level)
     level, stderr = rest_level(part)
-    span = part.span
     own = level - run.direction * float(_simulated(response, run.kind)[0])
     if run.kind == "rest":
-        known = [r for r in known if abs(r.zero - own) < _NEAR * stderr + _SAME * span]
+        known = [r for r in known if abs(r.zero - own) < _NEAR * stderr + _SAME * part.span]
     else:
         error = _free_run(part, response, run.kind, run.direction, own).error
         known = [r for r in known if error > _CLEARLY * r.error]

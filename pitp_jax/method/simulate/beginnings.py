@@ -16,9 +16,8 @@ from jaxtyping import Float
 from ..model.model import Model
 from ..signal.initial_state import Beginning, aligned
 from ..signal.record import Record
-from ..signal.sets import padded
 from ..signal.start import Response, estimate_start, first_part
-from .model_runs import Models, evaluate, model_runs, models_of, runs_of, sample
+from .model_runs import Models, evaluate, model_runs, models_of, padded, runs_of, sample
 from .moving_start import moving_states, still
 
 _GRID, _ROUNDS, _FAR = 64, 4, 10.0  # grid points, refinements and range (scaled displacement) of an equilibrium search

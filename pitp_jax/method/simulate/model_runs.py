@@ -144,6 +144,12 @@ def model_runs(
     return outputs[..., :-1], outputs[..., -1]
 
 
+def padded(voltages: Sequence[np.ndarray]) -> np.ndarray:
+    """Stack voltages of several lengths, shape (records, longest); the shorter ones hold their last value."""
+    size = max(map(len, voltages))
+    return np.stack([np.pad(u, (0, size - len(u)), mode="edge") for u in voltages])
+
+
 def evaluate(function: Callable, model: Model | Models, *numbers) -> Float[np.ndarray, "rows outputs"]:
     """Compute `function(model, row, ...)` for rows of numbers, as one step of `runs_of`; columns are broadcast."""
     return runs_of(function, model, np.column_stack(np.broadcast_arrays(*numbers)), np.zeros((1, 1)))[:, 0]

@@ -16,9 +16,8 @@ from jaxtyping import Array, Float
 from ..model.model import Model
 from ..signal.initial_state import INITIAL_SAMPLES, first_known
 from ..signal.record import Record
-from ..signal.sets import padded
 from .decoder import still_state
-from .model_runs import evaluate, model_runs
+from .model_runs import evaluate, model_runs, padded
 
 _STEP, _ITERATIONS, _PRIOR = 1e-6, 20, 1e-3  # difference of a number; of Levenberg and Marquardt; r
 # of the largest singular value, tried at once; the first keeps the state

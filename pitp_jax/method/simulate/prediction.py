@@ -23,10 +23,10 @@ from ..model.programs import on_device
 from ..model.substeps import substeps
 from ..signal.initial_state import Beginning, Begins, aligned
 from ..signal.record import Record
-from ..signal.sets import alike, check_set, padded, session_clock
+from ..signal.sets import alike, check_set, session_clock
 from . import ports
 from .beginnings import beginnings
-from .model_runs import evaluate, model_runs
+from .model_runs import evaluate, model_runs, padded
 from .moving_start import initial_samples, still
 
 _SLACK = 0.05  # fraction of a trained range by which a feature may exceed it
