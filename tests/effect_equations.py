@@ -162,6 +162,12 @@ def _either(x, v, u, s, p):
     return (v - (abs(v) * s[0] + p.gamma * v * abs(s[0])) / p.width,)
 
 
+def _four(x, v, u, s, p):
+    """Four loops whose widths differ by the factor `spread`; sharp: the fourth power of |z| / r slows them."""
+    q = [abs(z) / (p.width * p.spread**k) for z, k in zip(s, (-1.5, -0.5, 0.5, 1.5), strict=True)]
+    return tuple(v * (1 - np.sign(v * z) * ((1 - p.sharp) * q + p.sharp * q**4)) for z, q in zip(s, q, strict=True))
+
+
 def _drive_plays(x, v, u, s, p):
     """Each is pushed along within a microsecond when u stands off by more than its half width."""
     off = u - np.asarray(s)
@@ -255,6 +261,11 @@ EQUATIONS = {
     "hysteresis: Bouc-Wen, either sign": Equation(
         ((0.4, 0.3, 0.5), (0.1, 1.0, -1.5)), {2: 2e-3}, **_STILL, rates=_either,
         force=lambda x, v, s, p, a, t: a[0] * p.kappa * s[0],
+    ),
+    "hysteresis: Dahl at four widths": Equation(
+        ((0.4, 0.3, 0.4, 2.0), (0.3, 0.3, 0.9, 1.5)), {2: 2e-3},
+        begin=lambda x, u, p: (0.0,) * 4, rates=_four,
+        force=lambda x, v, s, p, a, t: a[0] * p.kappa * np.mean(s),
     ),
     "stiffness_drift: settling": Equation(
         ((0.3, 60.0), (-0.3, 60.0)), {2: 3e-4},

@@ -21,6 +21,7 @@ NUMBERS = {
     "hysteresis: plays": (0.4, 0.1599),
     "hysteresis: Dahl": (0.3, 0.1998),
     "hysteresis: Bouc-Wen, either sign": (0.3, 0.5995, 0.5),
+    "hysteresis: Dahl at four widths": (0.3, 0.2998, 0.5, 2.0),
     "stiffness_drift: settling": (0.1, 6),
     "added_mass: share": (0.15,),
     "second_mode: hung on": (0.2, 18.85, 0.04),

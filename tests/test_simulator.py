@@ -134,6 +134,7 @@ NUMBERS = {
     "end_stop: each side, damped": (4.0, 0.5, 0.1, 0.02),
     "creep: one branch": (0.3, 0.5), "relaxation: one branch": (0.3, 0.05), "hysteresis: plays": (0.5, 0.1),
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
+    "hysteresis: Dahl at four widths": (0.4, 0.2, 0.5, 2.0),
     "stiffness_drift: settling": (0.1, 2.0), "second_mode: hung on": (0.2, 55.0, 0.05), "drag: quadratic": (2.0,),
     "coulomb_friction: Coulomb": (0.05,), "coulomb_friction: loaded by the spring": (0.05, 0.1),
     "coulomb_friction: loaded by spring and mass": (0.05, 0.1),

@@ -185,6 +185,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "hysteresis: Dahl", (5.0, 0.01 * x), (0.3, 0.1 * x), (0.3, 0.5 * x)
     yield "hysteresis: Bouc-Wen, either sign", *((0.5, w * x, g) for w, g in ((0.1, -0.5), (0.5, -0.5), (0.5, 0.5)))
     yield "hysteresis: plays", (0.4, 0.06 * x), (0.4, 0.3 * x)
+    yield "hysteresis: Dahl at four widths", (0.3, 0.3 * x, 0.5, 2.0)
     yield (
         "hysteresis: Dahl of the command's integral",
         *((c * volts, f * s.area) for c in (0.5, -0.5) for f in (0.1, 0.5)),

@@ -7,6 +7,7 @@
     coasting     the same, but z'' = -rate z' until it is caught, then z' = w'              (exact but for the instant)
     dahl         dz = dw - |dw| z / r, of w or of its integral                             (exact for w monotonic)
     bouc_wen     dz = dw (1 - (sgn(dw z) + gamma) |z| / r)                                 (midpoint rule)
+    rounded      dz = dw (1 - sgn(dw z) (q + sharp (q^4 - q))),  q = |z| / r               (midpoint rule)
     farthest     z = max |w| so far,                clock   z' = 1                         (exact)
     slew         |z'| <= s towards u                                                       (exact for one step's goal)
     present      z = w                                                                     (exact)
@@ -137,14 +138,14 @@ def coasting() -> Kernel:
     return Kernel(2, lambda p, w, age: jnp.stack([w, 0.0 * w]), advance)
 
 
-def _travelled(advance: Callable) -> Kernel:
-    """Build a memory whose state depends on the travelled distance alone, initially zero."""
+def _travelled(advance: Callable, size: int = 1) -> Kernel:
+    """Build a memory whose states depend on the travelled distance alone, initially zero."""
 
     def ahead(p, z, now):  # the distance to half a step later, at the velocity of the step; unknown at order 1
         way = now.h / 2 * now.rates[0] * now.state[1] if len(now.state) > 1 else 0.0 * now.x
         return advance(p, z, 0.0 * way, way, 0.0)
 
-    return Kernel(1, _unloaded, advance, ahead)
+    return Kernel(size, lambda p, w, age: jnp.zeros((size,)), advance, ahead)
 
 
 def dahl(width: str = "width") -> Kernel:
@@ -185,6 +186,23 @@ def bouc_wen() -> Kernel:
         return jnp.clip(z + way * slope_at(middle), -most, most)
 
     return _travelled(advance)
+
+
+def rounded(*powers: int) -> Kernel:
+    """Build Dahl states of several widths, width * spread^(power / 2) each, with a parameter `sharp` from 0 to 1."""
+
+    def advance(p, z, before, after, h):
+        way, root = after - before, jnp.sqrt(p.spread)
+        r = p.width * jnp.stack([root**k for k in powers])
+
+        def slope_at(z):
+            q = jnp.abs(z) / r
+            return 1 - jnp.sign(way * z) * q * (1 - p.sharp + p.sharp * q**3)
+
+        middle = jnp.clip(z + way / 2 * slope_at(z), -r, r)
+        return jnp.clip(z + way * slope_at(middle), -r, r)
+
+    return _travelled(advance, len(powers))
 
 
 FARTHEST = Kernel(

@@ -6,6 +6,7 @@ creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
                     f = k kappa z,  dz = dx (1 - sgn(dx) z / r)                            (Dahl)
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
+                    f = k kappa mean_j z_j,  dz_j = dx (1 - sgn(dx z_j) q^1..4)            (Dahl at four widths)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
 A hysteresis loop has the same area at every speed. One that yields by less than a twentieth of the stroke before it
@@ -14,7 +15,7 @@ slides is dry friction.
 
 import jax.numpy as jnp
 
-from .kernels import CLOCK, bouc_wen, dahl, lag, play
+from .kernels import CLOCK, bouc_wen, dahl, lag, play, rounded
 from .spec import EffectSpec, Parameter, signed, strength
 
 _GIVE = 0.05  # of the stroke: contacts that give less before they slide are dry friction, others a hysteresis
@@ -80,6 +81,19 @@ MEMORIES = (
         stiffens=True, reported=_by_give, law=lambda p, now: now.k * p.kappa * now.z[0],
     ),
     _BOUC_WEN[0],
+    EffectSpec(
+        # contains Dahl's loop (spread 1, sharp 0), and nearly the plays (sharp 1)
+        "hysteresis", "Dahl at four widths",
+        (
+            _STRENGTH, Parameter("width", "x", length=1, least=_GIVE),
+            Parameter("sharp", most=1.0), Parameter("spread", least=1.0, most=5.0),
+        ),
+        "A loop of any roundness, as of a material whose parts begin to slide after different distances.",
+        "f = k kappa mean_j z_j, dz_j = dx (1 - sgn(dx z_j) (q + sharp (q^4 - q))), q = |z_j| / r_j, "
+        "r_j = width spread^(-1.5, -0.5, 0.5, 1.5)",
+        "dissipation", "K", kernel=rounded(-3, -1, 1, 3), stiffens=True,
+        law=lambda p, now: now.k * p.kappa * now.z.mean(),
+    ),
     EffectSpec(
         "stiffness_drift", "settling", (signed("d"), Parameter("time", "s")),
         "The stiffness changes during the session, and settles.", "f = -k d (1 - exp(-t / time)) x", "drift", "T",
