@@ -45,7 +45,7 @@ BEAM, DEPTH = 2, 4  # fronts, effects of a set
 _FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
 _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps gain
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
-_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 14, 6  # starts of a set; first, all and fold steps
+_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 40, 6  # starts of a set; first, all and fold steps
 _LINEAR_STEPS = 25  # of the linear models, on which every set builds
 _REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
@@ -266,14 +266,15 @@ class Search:
             f.fold = PREVIEW
             self._climbed.add(f.names)
         self.fitter.fit(starts, _FIRST_STEPS)
-        groups = {
-            key: [
-                f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
-                for f in _varied(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))[:2]
-            ]
-            for key, g in groups.items()
+        groups = {key: _distinct(sorted(g, key=lambda f: f.cost)) for key, g in groups.items()}
+        first = {key: [id(f) for f in _varied(g)[:2]] for key, g in groups.items()}
+        every = {
+            id(f): f.again(fold=None, cost=np.inf, residuals=[], jacobian=None) for g in groups.values() for f in g
         }
-        self.fitter.fit([f for g in groups.values() for f in g], 0)
+        self.fitter.fit([*every.values()], 0)
+        groups = {
+            key: _foremost([every[id(f)] for f in g], [every[n] for n in first[key]]) for key, g in groups.items()
+        }
         order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
         gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
@@ -346,9 +347,21 @@ class Search:
             self.waiting.pop(frozenset(h.names), None)
 
     def _plainest(self, forms: Sequence[Fit]) -> Fit:
-        """Return the fit with the fewest parameters whose error is at most GAIN above the best."""
+        """Return the fit with the fewest parameters whose error is at most GAIN above the best.
+
+        Under another name it may be more by GAIN of the error that the effect is added to: two times of an electrode's
+        lag, 3 % apart, were two of a film that charges and discharges unlike.
+        """
         best = min(forms, key=lambda f: f.cost)
-        return min((f for f in forms if not self._leaves_less(best, f)), key=lambda f: (len(f.free), f.cost))
+
+        def is_as_good(f: Fit) -> bool:
+            if self.labels(f) == self.labels(best):
+                return not self._leaves_less(best, f)
+            fits = f, best, self.every[frozenset(best.names[:-1])].fit
+            own, least, before = (np.exp(self._log_error(g) / 2) for g in fits)
+            return bool(own - least < rules.GAIN * before)
+
+        return min(filter(is_as_good, forms), key=lambda f: (len(f.free), f.cost))
 
     def _richer(self, fits: Sequence[Fit]) -> list[Fit]:
         """Add a second time constant, a decade apart, to memory effects where this reduces the error by GAIN."""
@@ -404,7 +417,7 @@ class Search:
         ranked: dict[frozenset, list[Fit]] = {}
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
-        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
+        return {key: _varied(group, _STARTS) for key, group in list(ranked.items())[:most]}
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -638,12 +651,26 @@ def _written(h: Hypothesis) -> str:
     return "+".join(h.labels) or "the linear model"
 
 
-def _varied(fits: Sequence[Fit]) -> list[Fit]:
-    """Order fits best first, with the k-th best of each form before the next one of any form."""
+def _varied(fits: Sequence[Fit], least: int = 0) -> list[Fit]:
+    """Order fits best first, with the k-th best of each form before the next one of any form.
+
+    `least`: return this many, or more so that each form has one; 0: all.
+    """
     turns: list[int] = []
     for n, f in enumerate(fits):
         turns.append(sum({*f.free} == {*g.free} for g in fits[:n]))
-    return [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
+    ordered = [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
+    return ordered[: max(least, turns.count(0))] if least else ordered
+
+
+def _foremost(fits: Sequence[Fit], first: Sequence[Fit]) -> list[Fit]:
+    """Return the best two forms, those of the first steps, and the best of those with the fewest numbers.
+
+    The plainest wins a tie.
+    """
+    ordered = _varied(sorted(fits, key=lambda f: f.cost))
+    plainest = min(ordered, key=lambda f: len(f.free), default=None)
+    return [f for n, f in enumerate(ordered) if n < 2 or f is plainest or any(f is g for g in first)]
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:

@@ -104,7 +104,9 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
             return answer("no_gap", reason="The remaining error is noise: no model of the input predicts it.")
         return answer("unknown", reason="No effect in the catalogue improves the fit significantly.")
     taken = closing_fractions(search, chosen)
-    fractions = {label: taken[n] for n, label in zip(chosen.names, chosen.labels, strict=True)}
+    # two effects of the search may have one name, such as a loop that hardly yields beside a friction
+    pairs = tuple(zip(chosen.names, chosen.labels, strict=True))
+    fractions = {label: sum(taken[n] for n, other in pairs if other == label) for label in chosen.labels}
     p, rivals = _without_each(search, chosen, fractions)
     if settled and chosen.names == (PARAMETERS,):  # they reach the nominal's own error: nothing is left to name
         p[CHANGED] = probability(chosen.evidence, search.given.evidence)
@@ -131,7 +133,7 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
     said, tied, separated = [], {}, True
     # the effect that closes most comes first; a further one that these recordings do not separate from others may stand
     # for what the form of the first lacks, as changed coefficients do, and is only a part of the model
-    order = sorted(zip(chosen.names, chosen.labels, strict=True), key=lambda n: (-fractions[n[1]], n[0] == PARAMETERS))
+    order = sorted(pairs, key=lambda n: (-fractions[n[1]], n[0] == PARAMETERS))
     for name, label in order:
         if fractions[label] < rules.LISTED or label in said:
             continue

@@ -69,7 +69,7 @@ DRIVE = (
         "bleeder", "one lag each way",
         (nonlinear("up", "s"), Parameter("down", "s")),
         "The electrodes discharge faster or slower than they charge.",
-        "tau V' = u - V, tau = up where |u| > |V|, else down", kernel=lag_each_way(), only_given=True,
+        "tau V' = u - V, tau = up where |u| > |V|, else down", kernel=lag_each_way(),
         law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
         inverse=lambda p, v, dt: lead(v, dt, jnp.where(p.up > 0, jnp.where(v * slope(v, dt) > 0, p.up, p.down), 0.0)),
     ),
