@@ -511,6 +511,15 @@ def test_a_friction_beside_a_spring_is_told_by_the_error_that_it_takes():
     assert said.said == ("stiffening", "drag") and said.fractions["drag"] == pytest.approx(0.24 / 0.95, rel=0.05)
 
 
+@pytest.mark.usefixtures("no_reference")
+def test_two_effects_of_one_name_count_together():
+    """Of a dry friction, bristles took 98 % and Stribeck's curve 2 %: the 2 % were kept, and nothing was named."""
+    name, names = "coulomb_friction", ("hysteresis", "coulomb_friction")
+    first, both = hypothesis(names[:1], 0.1, labels=(name,)), hypothesis(names, 0.06, labels=(name, name))
+    said = decide(searched(first, both, hypothesis(("drag",), 0.9)), 0.0, 0.0, 6)
+    assert said.said == (name,) and said.fractions[name] == pytest.approx(1.0)
+
+
 @pytest.mark.parametrize("form", ["plays", "Dahl", "Bouc-Wen, either sign"])
 @pytest.mark.parametrize(("width", "name"), [(0.03, "coulomb_friction"), (0.08, "hysteresis")])
 def test_a_loop_that_gives_less_than_a_twentieth_of_the_stroke_is_dry_friction(form, width, name):
