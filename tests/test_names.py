@@ -134,16 +134,15 @@ def test_starts_of_all_forms_take_turns():
     forms_of = [("a0", "a1"), ("a0", "a1"), ("a2",), ("a0", "a1"), ("a2",), ("a1", "a0")]
     fits = [Fit((), free, OFF.copy(), np.zeros((1, 2))) for free in forms_of]
     assert [next(n for n, g in enumerate(fits) if g is f) for f in _varied(fits)] == [0, 2, 1, 4, 3, 5]
-    assert _varied(fits, 1) == fits[0:3:2]  # each form once, however few are wanted
 
 
 def test_the_plainest_form_goes_on_beside_the_best():
     """An electrode's lag was a lag each way (20.0 and 20.0 ms), because one lag was third after the first steps."""
     costs = {("far", "share"): 1.0, ("up", "down"): 2.0, ("tau",): 3.0, ("up", "down", "more"): 2.5}
     fits = [Fit((), free, OFF.copy(), np.zeros((1, 2)), unit=np.ones(1), cost=c) for free, c in costs.items()]
-    assert [f.cost for f in _foremost(fits[::-1], [])] == [1.0, 2.0, 3.0]
-    assert [f.cost for f in _foremost(fits, fits[3:])] == [1.0, 2.0, 2.5, 3.0]
-    assert _foremost([], []) == []
+    assert [f.cost for f in _foremost(sorted(fits, key=lambda f: cast(float, f.cost)))] == [1.0, 2.0, 3.0]
+    assert [f.cost for f in _foremost(fits[:2])] == [1.0, 2.0]
+    assert _foremost([]) == []
 
 
 def test_a_number_stays_within_what_was_reached():

@@ -1,6 +1,5 @@
 """The order of a search: what is refitted without folds, and what its first steps must not drop."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -13,7 +12,7 @@ from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
-from pitp_jax.method.diagnose.fit import PREVIEW, Fit
+from pitp_jax.method.diagnose.fit import Fit
 from pitp_jax.method.diagnose.gap import gap_of, out_of_fold
 from pitp_jax.method.diagnose.library import EARLY, INDEX, LAG, MONITOR, NAMES, Form, slots_of_row
 from pitp_jax.method.diagnose.search import PARAMETERS, STEPS, Hypothesis, Search
@@ -84,31 +83,6 @@ def test_the_best_four_go_to_their_optimum_whatever_their_first_steps_gain():
     search._climb({frozenset([n]): [fit_of(n)] for n in "615243"})
     assert sorted(to_the_end) == list("1234")
     assert set(search.waiting) == {frozenset(n) for n in "1234"}
-
-
-def test_what_fits_all_recordings_goes_on_beside_what_fits_a_few():
-    """In a sweep with a jump resonance the right form of a spring was the fifth best, in all records the best."""
-    search, few, every = (
-        bare_search(),
-        {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 9.0},
-        {"a": 4.0, "b": 3.0, "c": 2.0, "d": 1.0, "e": 9.0},
-    )
-    search.every = {frozenset(): hypothesis(fit_of(cost=9.0), 9.0)}
-    search.floors, search.misfit = np.zeros(1), 0.0
-    to_the_end = []
-
-    def fitted(fits, iterations):
-        for f in fits:
-            f.cost = (few if f.fold == PREVIEW else every)[f.free[0]]
-            f.residuals = [np.full(SAMPLES, np.exp(0.5 * f.cost))]
-        if iterations == STEPS:
-            to_the_end.extend(f.free[0] for f in fits)
-
-    search.fitter = SimpleNamespace(fit=fitted)
-    search._plainest = lambda forms: forms[0]
-    starts = [replace(fit_of("spring"), free=(k,), slots=np.zeros(len(NAMES)), unit=np.ones(1)) for k in "abcd"]
-    search._climb({frozenset(["spring"]): [*starts, replace(starts[0], free=("e",))]})
-    assert sorted(to_the_end) == ["a", "b", "c", "d"]  # the best two of either
 
 
 def compared(*improved: int, names: str = "abcde", blocks: int = 1) -> Any:

@@ -45,7 +45,7 @@ BEAM, DEPTH = 2, 4  # fronts, effects of a set
 _FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
 _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps gain
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
-_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 40, 6  # starts of a set; first, all and fold steps
+_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 14, 6  # starts of a set; first, all and fold steps
 _LINEAR_STEPS = 25  # of the linear models, on which every set builds
 _REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
@@ -266,15 +266,14 @@ class Search:
             f.fold = PREVIEW
             self._climbed.add(f.names)
         self.fitter.fit(starts, _FIRST_STEPS)
-        groups = {key: _distinct(sorted(g, key=lambda f: f.cost)) for key, g in groups.items()}
-        first = {key: [id(f) for f in _varied(g)[:2]] for key, g in groups.items()}
-        every = {
-            id(f): f.again(fold=None, cost=np.inf, residuals=[], jacobian=None) for g in groups.values() for f in g
-        }
-        self.fitter.fit([*every.values()], 0)
         groups = {
-            key: _foremost([every[id(f)] for f in g], [every[n] for n in first[key]]) for key, g in groups.items()
+            key: [
+                f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
+                for f in _foremost(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))
+            ]
+            for key, g in groups.items()
         }
+        self.fitter.fit([f for g in groups.values() for f in g], 0)
         order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
         gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
@@ -417,7 +416,7 @@ class Search:
         ranked: dict[frozenset, list[Fit]] = {}
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
-        return {key: _varied(group, _STARTS) for key, group in list(ranked.items())[:most]}
+        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -651,26 +650,19 @@ def _written(h: Hypothesis) -> str:
     return "+".join(h.labels) or "the linear model"
 
 
-def _varied(fits: Sequence[Fit], least: int = 0) -> list[Fit]:
-    """Order fits best first, with the k-th best of each form before the next one of any form.
-
-    `least`: return this many, or more so that each form has one; 0: all.
-    """
+def _varied(fits: Sequence[Fit]) -> list[Fit]:
+    """Order fits best first, with the k-th best of each form before the next one of any form."""
     turns: list[int] = []
     for n, f in enumerate(fits):
         turns.append(sum({*f.free} == {*g.free} for g in fits[:n]))
-    ordered = [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
-    return ordered[: max(least, turns.count(0))] if least else ordered
+    return [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
 
 
-def _foremost(fits: Sequence[Fit], first: Sequence[Fit]) -> list[Fit]:
-    """Return the best two forms, those of the first steps, and the best of those with the fewest numbers.
-
-    The plainest wins a tie.
-    """
-    ordered = _varied(sorted(fits, key=lambda f: f.cost))
+def _foremost(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best two forms, and the best of those with the fewest numbers, which wins a tie; best first."""
+    ordered = _varied(fits)
     plainest = min(ordered, key=lambda f: len(f.free), default=None)
-    return [f for n, f in enumerate(ordered) if n < 2 or f is plainest or any(f is g for g in first)]
+    return [f for n, f in enumerate(ordered) if n < 2 or f is plainest]
 
 
 def _distinct(fits: Sequence[Fit]) -> list[Fit]:
