@@ -33,7 +33,7 @@ from pitp_jax.method.diagnose.library import (
     named,
     names_of,
 )
-from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search, _foremost, _varied
+from pitp_jax.method.diagnose.search import PARAMETERS, Hypothesis, Search, _continued, _varied
 from pitp_jax.method.diagnose.verdict import decide, separable
 from pitp_jax.method.effects import CATALOGUE, lookup
 from pitp_jax.method.signal.record import Record
@@ -140,9 +140,9 @@ def test_the_plainest_form_goes_on_beside_the_best():
     """An electrode's lag was a lag each way (20.0 and 20.0 ms), because one lag was third after the first steps."""
     costs = {("far", "share"): 1.0, ("up", "down"): 2.0, ("tau",): 3.0, ("up", "down", "more"): 2.5}
     fits = [Fit((), free, OFF.copy(), np.zeros((1, 2)), unit=np.ones(1), cost=c) for free, c in costs.items()]
-    assert [f.cost for f in _foremost(sorted(fits, key=lambda f: cast(float, f.cost)))] == [1.0, 2.0, 3.0]
-    assert [f.cost for f in _foremost(fits[:2])] == [1.0, 2.0]
-    assert _foremost([]) == []
+    assert [f.cost for f in _continued(sorted(fits, key=lambda f: cast(float, f.cost)))] == [1.0, 2.0, 3.0]
+    assert [f.cost for f in _continued(fits[:2])] == [1.0, 2.0]
+    assert _continued([]) == []
 
 
 def test_a_number_stays_within_what_was_reached():
@@ -512,7 +512,7 @@ def test_a_friction_beside_a_spring_is_told_by_the_error_that_it_takes():
 
 @pytest.mark.usefixtures("no_reference")
 def test_two_effects_of_one_name_count_together():
-    """Of a dry friction, bristles took 98 % and Stribeck's curve 2 %: the 2 % were kept, and nothing was named."""
+    """Bristles took 98 % of a dry friction and Stribeck's curve 2 %; only the second share counted."""
     name, names = "coulomb_friction", ("hysteresis", "coulomb_friction")
     first, both = hypothesis(names[:1], 0.1, labels=(name,)), hypothesis(names, 0.06, labels=(name, name))
     said = decide(searched(first, both, hypothesis(("drag",), 0.9)), 0.0, 0.0, 6)

@@ -269,7 +269,7 @@ class Search:
         groups = {
             key: [
                 f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
-                for f in _foremost(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))
+                for f in _continued(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))
             ]
             for key, g in groups.items()
         }
@@ -658,8 +658,11 @@ def _varied(fits: Sequence[Fit]) -> list[Fit]:
     return [fits[n] for n in sorted(range(len(fits)), key=lambda n: (turns[n], n))]
 
 
-def _foremost(fits: Sequence[Fit]) -> list[Fit]:
-    """Return the best two forms, and the best of those with the fewest numbers, which wins a tie; best first."""
+def _continued(fits: Sequence[Fit]) -> list[Fit]:
+    """Return the best fits of two forms, and the best one with the fewest parameters, which wins a tie.
+
+    `fits`: best first.
+    """
     ordered = _varied(fits)
     plainest = min(ordered, key=lambda f: len(f.free), default=None)
     return [f for n, f in enumerate(ordered) if n < 2 or f is plainest]

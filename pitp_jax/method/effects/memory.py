@@ -6,7 +6,8 @@ creep, relaxation   f = k kappa (x - z),  tau z' = x - z;  creep where tau omega
 hysteresis          f = k kappa mean_j (x - z_j),  z_j plays of x                          (Prandtl and Ishlinskii)
                     f = k kappa z,  dz = dx (1 - sgn(dx) z / r)                            (Dahl)
                     f = k kappa z,  dz = dx (1 - (sgn(dx z) + gamma) |z| / r)              (Bouc and Wen, either sign)
-                    f = k kappa mean_j z_j,  dz_j = dx (1 - sgn(dx z_j) q^1..4)            (Dahl at four widths)
+                    f = k kappa mean_j z_j,  dz_j = dx (1 - sgn(dx z_j) (q + sharp (q^4 - q))),
+                    q = |z_j| / r_j                                                        (Dahl at four widths)
 stiffness_drift     f = -k d (1 - exp(-t / T)) x,  t the session's clock
 
 A hysteresis loop has the same area at every speed. One that yields by less than a twentieth of the stroke before it
