@@ -153,6 +153,14 @@ def test_a_number_stays_within_what_was_reached():
     assert at(fit, np.array([np.log(50.0)]), ends)[INDEX["coulomb_friction: Stribeck, speed"]] == 3.0
 
 
+@pytest.mark.parametrize(("move", "ends"), [(-50.0, (0.05, 0.0, 1.0)), (50.0, (np.exp(50.0), 1.0, 5.0))])
+def test_a_loop_of_any_roundness_stays_a_loop(move, ends):
+    """A narrower one is dry friction, which has other forms; of widths further apart some only add stiffness."""
+    free = tuple(f"hysteresis: Dahl at four widths, {name}" for name in ("width", "sharp", "spread"))
+    found = at(Fit((), free, slots(), np.zeros((1, 2))), np.full(3, move))[[INDEX[k] for k in free]]
+    np.testing.assert_allclose(found, ends, atol=1e-20)
+
+
 @pytest.mark.parametrize(
     ("name", "twin", "left", "tied"),
     [
