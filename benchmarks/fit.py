@@ -48,7 +48,7 @@ def step_ways(nominal, train, settings) -> tuple[dict, str]:
     params, static = eqx.partition(model.encoder, trainable(model).encoder)
     state = training._OPTIMISER.init(params)
     box_rate = jnp.asarray([0.6, 1.5]), jnp.asarray(1e-3)
-    few, how = data.equation.take(slice(0, 20 * settings.batch)), training._in_an_epoch(settings)
+    few, how = data.equation.take(slice(0, 20 * settings.batch)), training.in_an_epoch(settings)
 
     def ours():
         return training._epoch(params, static, state, model, few, *box_rate, jax.random.key(1), **how)[2]

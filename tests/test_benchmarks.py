@@ -93,7 +93,6 @@ def test_every_row_runs(name):
         assert line["peer"].startswith("PyTorch") and line["ratio"] > 0
 
 
-@pytest.mark.slow
 def test_the_step_of_training_runs_as_the_table_times_it(linear):
     from benchmarks.fit import step_ways
     from pitp_jax import Settings

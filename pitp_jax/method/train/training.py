@@ -270,7 +270,6 @@ def _bare(model: Model, nominal: Model, data: Dataset, settings: Settings) -> Mo
 def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
     """Run Algorithm 1 of the paper: yield (best model, history entry) after every stage."""
     best_model, best, constraint = model, np.inf, np.inf
-    dropout = settings.encoder != "compact"
     for j in range(settings.stages):
         box = (settings.narrow ** (j + 1), settings.widen ** (j + 1))
         params, static = eqx.partition(best_model.encoder, trainable(best_model).encoder)  # no time constant: `loss`
@@ -284,9 +283,8 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
             rate = settings.rate * settings.decay_rate**j * (0.05 + 0.95 * fade)
             box_rate = np.asarray(box, np.float32), np.float32(rate)
             params, state, (physics, constraint) = _epoch(
-                params, static, state, model, data.equation, *box_rate, sub,
-                batch=settings.batch, width=settings.huber, penalty=settings.penalty, dropout=dropout,
-            )  # fmt: skip
+                params, static, state, model, data.equation, *box_rate, sub, **in_an_epoch(settings)
+            )
             physics, constraint = float(physics), float(constraint)
             if not np.isfinite(physics + constraint):
                 yield best_model, {"stage": j + 1, "epochs": epoch + 1, "diverged": True}
@@ -300,6 +298,12 @@ def _stages(model: Model, data: Dataset, settings: Settings, key, progress):
         )
         if best > (1 - settings.tolerance) * at_stage:
             return
+
+
+def in_an_epoch(settings: Settings) -> dict:
+    """Return the settings on which the compiled program of an epoch depends; the benchmarks time it with the same."""
+    dropout = settings.encoder != "compact"
+    return {"batch": settings.batch, "width": settings.huber, "penalty": settings.penalty, "dropout": dropout}
 
 
 @jit
