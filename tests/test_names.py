@@ -519,6 +519,15 @@ def test_a_friction_beside_a_spring_is_told_by_the_error_that_it_takes():
 
 
 @pytest.mark.usefixtures("no_reference")
+def test_what_an_unnamed_force_replaces_is_not_named():
+    """Two tanks were a `stiffening` and a `stretch_coupling`, for which a product of states did as well."""
+    spring, force = ("stiffening",), ("stiffening", "term")
+    sets = hypothesis(spring, 0.5), hypothesis((*spring, "stretch_coupling"), 0.1), hypothesis(force, 0.1005)
+    said = decide(searched(*sets, hypothesis(("drag",), 0.9)), 0.0, 0.0, 6)
+    assert (said.verdict, said.said) == ("partly", spring)
+
+
+@pytest.mark.usefixtures("no_reference")
 def test_two_effects_of_one_name_count_together():
     """Bristles took 98 % of a dry friction and Stribeck's curve 2 %; only the second share counted."""
     name, names = "coulomb_friction", ("hysteresis", "coulomb_friction")

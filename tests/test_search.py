@@ -1,5 +1,6 @@
 """The order of a search: what is refitted without folds, and what its first steps must not drop."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -12,7 +13,7 @@ from pitp_jax.method.diagnose.budget import Budget
 from pitp_jax.method.diagnose.clocks import Fault
 from pitp_jax.method.diagnose.data import build_case, excitations
 from pitp_jax.method.diagnose.evidence import evidence
-from pitp_jax.method.diagnose.fit import Fit
+from pitp_jax.method.diagnose.fit import PREVIEW, Fit
 from pitp_jax.method.diagnose.gap import gap_of, out_of_fold
 from pitp_jax.method.diagnose.library import EARLY, INDEX, LAG, MONITOR, NAMES, Form, slots_of_row
 from pitp_jax.method.diagnose.search import PARAMETERS, STEPS, Hypothesis, Search
@@ -31,6 +32,7 @@ def bare_search() -> Any:
     search: Any = object.__new__(Search)
     search.every, search.waiting, search._climbed, search.exclude = {}, {}, set(), set()
     search.samples, search.budget, search.refit = SAMPLES, Budget(), False
+    search.others, search.linears, search.library = {}, [], []
     search.weigh = lambda rows: evidence(rows, np.zeros(1))
     search.labels = lambda fit: fit.names
     return search
@@ -83,6 +85,55 @@ def test_the_best_four_go_to_their_optimum_whatever_their_first_steps_gain():
     search._climb({frozenset([n]): [fit_of(n)] for n in "615243"})
     assert sorted(to_the_end) == list("1234")
     assert set(search.waiting) == {frozenset(n) for n in "1234"}
+
+
+def test_what_fits_all_recordings_goes_on_whatever_fits_a_few():
+    """In a sweep with a jump resonance the right form of a spring was the fifth best, in all records the best."""
+    few, every = {"a": 1.0, "b": 2.0, "c": 3.0, "d": 4.0, "e": 9.0}, {"a": 4.0, "b": 3.0, "c": 2.0, "d": 1.0, "e": 9.0}
+    search, to_the_end = bare_search(), []
+    search.every = {frozenset(): hypothesis(fit_of(cost=9.0), 9.0)}
+    search.floors, search.misfit = np.zeros(1), 0.0
+
+    def fitted(fits, iterations):
+        for f in fits:
+            f.cost = (few if f.fold == PREVIEW else every)[f.free[0]]
+            f.residuals = [np.full(SAMPLES, np.exp(0.5 * f.cost))]
+        if iterations == STEPS:
+            to_the_end.extend(f.free[0] for f in fits)
+
+    search.fitter = SimpleNamespace(fit=fitted)
+    search._plainest = lambda forms: forms[0]
+    starts = [replace(fit_of("spring"), free=(k,), slots=np.zeros(len(NAMES)), unit=np.ones(1)) for k in "abcde"]
+    search._climb({frozenset(["spring"]): starts})
+    assert sorted(to_the_end) == ["c", "d"]
+
+
+def test_the_form_of_a_first_effect_is_exchanged_once_a_second_is_there():
+    """Alone a polynomial beat the right spring, a limited chain, because it took a part of a friction."""
+    search = bare_search()
+    search.floors, search.misfit, chain = np.zeros(1), 0.0, "stiffening: limited chain, curvature"
+    polynomial = tuple(k for k in NAMES if k.startswith("stiffening: polynomial"))
+    friction = tuple(k for k in NAMES if k.startswith("coulomb_friction: smooth"))
+
+    def fit(names, values, cost):
+        slots = np.zeros(len(NAMES))
+        slots[[INDEX[k] for k in values]] = [*values.values()]
+        return Fit(names, tuple(values), slots, np.zeros((1, 2)), cost=cost, residuals=[np.full(SAMPLES, cost)])
+
+    alone = fit(("spring",), dict.fromkeys(polynomial, 0.1), 0.070)
+    other = fit(("spring",), {chain: 0.3}, 0.081)
+    both = fit(("spring", "coulomb_friction"), dict.fromkeys((*polynomial, *friction), 0.2), 0.011)
+    search.others = {frozenset(["spring"]): [alone, other]}
+
+    def fitted(fits, iterations):
+        for f in fits:
+            assert f.value(chain) == 0.3 and all(f.value(k) == 0.2 for k in friction)
+            assert not any(f.value(k) for k in polynomial)
+            f.cost, f.residuals = 0.007, [np.full(SAMPLES, 0.007)]
+
+    search.fitter = SimpleNamespace(fit=fitted)
+    (found,) = search._on_other_fronts([both])
+    assert found.cost == 0.007 and {*found.free} == {chain, *friction}
 
 
 def compared(*improved: int, names: str = "abcde", blocks: int = 1) -> Any:

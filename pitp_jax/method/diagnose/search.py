@@ -1,10 +1,10 @@
 """Search for the best set of effects: add effects one by one to the two best sets, scored out of fold.
 
-Level d holds the best form of every set of level d - 1 plus one effect: all starts take a few steps, and the best two
-are optimised. Sets are then refitted without each fold in order of their in-sample error, until that exceeds the
-third-best out-of-fold error; later sets cannot be among the best three. A set improves the fit significantly if its
-error is below FIRST (then FURTHER for every effect) times that of the last such set, with P >= SURE. A level without
-such a set is skipped.
+Level d holds the best form of every set of level d - 1 plus one effect: all forms take a few steps on some recordings,
+and the best two on all recordings are optimised; the best sets then exchange the forms of their earlier effects. Sets
+are then refitted without each fold in order of their in-sample error, until that exceeds the third-best out-of-fold
+error; later sets cannot be among the best three. A set improves the fit significantly if its error is below FIRST (then
+FURTHER for every effect) times that of the last such set, with P >= SURE. A level without such a set is skipped.
 """
 
 from collections.abc import Callable, Sequence, Set
@@ -45,8 +45,7 @@ BEAM, DEPTH = 2, 4  # fronts, effects of a set
 _FIRST_SETS, _SETS = 12, 8  # hypotheses fitted after the first look: of one effect, and for each further front
 _CERTAIN = 4  # hypotheses fitted to their optimum whatever their first steps gain
 _RANKED = 3  # hypotheses of a level whose out-of-fold order is certain
-_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 14, 6  # starts of a set; first, all and fold steps
-_LINEAR_STEPS = 25  # of the linear models, on which every set builds
+_STARTS, _FIRST_STEPS, STEPS, _FOLD_STEPS = 4, 4, 40, 6  # starts of a set; first, most and fold steps
 _REFIT_RUNS = 40  # runs of all records for one refit without a fold
 _AT_A_TIME = 4  # sets fitted between checks of the clock, if time is limited
 PARAMETERS = "parameters"
@@ -118,6 +117,7 @@ class Search:
         self.samples = sum(int(s.counts.sum()) for s in case.series)
         self.every: dict[frozenset, Hypothesis] = {}
         self.waiting: dict[frozenset, Fit] = {}  # at their optimum, not refitted without folds
+        self.others: dict[frozenset, list[Fit]] = {}  # all forms of a set that were fitted to their optimum
         self._climbed: set[tuple[str, ...]] = set()  # a front's effects and the added one: fitted before
         # parts of the nominal's linear model that exist at all
         self.core = tuple(k for k in (*CORE, DELAY, LAG, FILTER) if case.nominal[INDEX[k]] > 0)
@@ -182,7 +182,7 @@ class Search:
         fits = [self._structure(self.movable, {})]
         if self.refit:
             fits += self._structures()
-        self.fitter.fit(fits, _LINEAR_STEPS)
+        self.fitter.fit(fits, STEPS)
         # of several fits of one structure the best, whatever its start
         best: dict[tuple[str, ...], Fit] = {}
         for f in sorted((f for f in fits if np.isfinite(f.cost)), key=lambda f: f.cost):
@@ -267,20 +267,18 @@ class Search:
             self._climbed.add(f.names)
         self.fitter.fit(starts, _FIRST_STEPS)
         groups = {
-            key: [
-                f.again(fold=None, cost=np.inf, residuals=[], jacobian=None)
-                for f in _continued(_distinct(sorted((f for f in g if np.isfinite(f.cost)), key=lambda f: f.cost)))
-            ]
+            key: [f.again(fold=None, cost=np.inf, residuals=[], jacobian=None) for f in g if np.isfinite(f.cost)]
             for key, g in groups.items()
         }
         self.fitter.fit([f for g in groups.values() for f in g], 0)
+        groups = {key: _continued(_distinct(sorted(g, key=lambda f: f.cost))) for key, g in groups.items()}
         order = sorted(groups, key=lambda key: min((f.cost for f in groups[key]), default=np.inf))
         gaining = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
         groups = gaining | {key: gaining[key] or groups[key] for key in order[:_CERTAIN]}
         self.fitter.fit([f for g in groups.values() for f in g], STEPS)
-        groups = {key: [f for f in g if self._gains(f)] for key, g in groups.items()}
-        best = self._richer([self._plainest(g) for g in groups.values() if g])
-        for fit in self._beside_structures(best) if self.refit else best:
+        groups = {key: gained for key, g in groups.items() if (gained := [f for f in g if self._gains(f)])}
+        self.others |= groups
+        for fit in self._on_other_fronts(self._richer([self._plainest(g) for g in groups.values()])):
             if not self.exclude & set(self.labels(fit)):
                 self.waiting[frozenset(fit.names)] = fit
 
@@ -376,23 +374,27 @@ class Search:
                 more.append((n, f.anew(free=free, slots=slots)))
         return self._improved(fits, more)
 
-    def _beside_structures(self, fits: Sequence[Fit]) -> list[Fit]:
-        """Refit the best sets of effects on every linear structure; keep one if its error is lower by GAIN.
+    def _on_other_fronts(self, fits: Sequence[Fit]) -> list[Fit]:
+        """Refit the best sets on what else they can build on; keep one if its error is lower by GAIN.
 
-        The first steps would rank structures by how well a wrong effect fits them: friction without its mass had six
-        times the error.
+        Alone, a form may take what another effect does, and a structure fit a wrong effect: a polynomial beat the right
+        spring while a friction was missing, and friction without its mass had six times the error.
         """
         many = []
         for n in sorted(range(len(fits)), key=lambda n: fits[n].cost)[:BEAM]:
             f = fits[n]
-            own = {k for r in ROWS if group(r.name) in f.names for k in slots_of_row(r)}
-            own |= {k for form in self.library if form.name in f.names for k in form.start}
-            mine = [k for k in f.free if k in own]
-            for structure in self.linears:
-                free, slots = (*structure.fit.free, *mine), structure.fit.slots.copy()
-                if own & {*structure.fit.free} or {*free} == {*f.free}:
+            # other forms of all effects but the last, and in a refit the other linear structures
+            fronts = [(front, f.names[-1:]) for front in self.others.get(frozenset(f.names[:-1]), [])]
+            fronts += [(h.fit, f.names) for h in self.linears if self.refit]
+            for front, names in fronts:
+                own = {k for r in ROWS if group(r.name) in names for k in slots_of_row(r)}
+                own |= {k for form in self.library if form.name in names for k in form.start}
+                own |= {*(self.movable if PARAMETERS in names else ())}
+                free = (*front.free, *(k for k in f.free if k in own))
+                if own & {*front.free} or {*free} == {*f.free}:
                     continue
-                kept = [INDEX[k] for k in (*own, *({*structure.fit.free} & {*f.free}))]
+                slots = front.slots.copy()
+                kept = [INDEX[k] for k in (*own, *({*front.free} & {*f.free}))]
                 slots[kept] = f.slots[kept]
                 many.append((n, f.anew(free=free, slots=slots)))
         return self._improved(fits, many)
@@ -416,7 +418,10 @@ class Search:
         ranked: dict[frozenset, list[Fit]] = {}
         for n in np.argsort(costs, kind="stable"):
             ranked.setdefault(many[n][0], []).append(many[n][1])
-        return {key: _varied(group)[:_STARTS] for key, group in list(ranked.items())[:most]}
+        return {
+            key: _varied(group)[: max(_STARTS, len({frozenset(f.free) for f in group}))]  # at least one of each form
+            for key, group in list(ranked.items())[:most]
+        }
 
     def _started(self, front: Fit, form: Form) -> Fit:
         slots = front.slots.copy()
@@ -449,7 +454,7 @@ class Search:
         for k in range(count):
             fitter = Fitter(self.case.alone([k]), self.budget)
             fit = self.linear.fit.again(starts=self.linear.fit.starts[[k]], residuals=[], jacobian=None, cost=np.inf)
-            fitter.fit([fit], _LINEAR_STEPS)
+            fitter.fit([fit], STEPS)
             (((apart,),), _) = fitter.refitted_without([fit], _FOLD_STEPS)
             rows.append(apart)
         return self.weigh(rows)

@@ -148,6 +148,9 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
             why = "hold too few kinds of excitation to" if few else "do not"
             reason = f"These recordings {why} separate {label} from {rival or 'the model without it'}."
             return answer("unknown", reason=reason, rivals=(label, rival), **seen)
+        if FREE in equal:  # not a name either
+            separated = False
+            continue
         # a narrow band cannot separate these, so they are reported as tied however certain the set is
         twins = TWINS.get(label, ())
         if label not in COMMUTING:
