@@ -90,13 +90,14 @@ def explained(actuator):
             candidate("drag", "quadratic", {"c": (4.2e7, "V^2 s^2/m^2", None)}, -0.4),
         ),
         where=where(), next_experiment=None, fitted=NAMES, heldout=NAMES, shift=np.ones(3), traces=traces(),
+        folds=(*((name,) for name in NAMES), NAMES),
         model=Fitted(model_of(model), Origin(displacement_unit="mm")),
     )  # fmt: skip
 
 
 def tied(found):
     """The same, not told from a delay, with an experiment that would."""
-    experiment = Experiment(("electrode_rc", "delay"), "sine of 5 Hz", T, 900 * np.sin(10 * np.pi * T), 12.3)
+    experiment = Experiment(("electrode_rc", "delay"), "a sine of 5 Hz", T, 900 * np.sin(10 * np.pi * T), 12.3)
     return replace(found, equivalent=("delay",), next_experiment=experiment)
 
 

@@ -213,9 +213,13 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
     assert told[0].startswith("The model handed back reduces the error on held-out recordings from 8.0 % to 7.9 %")
     assert "drag (quadratic)" in told[1] and "likely; to make it certain, record a sine of 3 Hz" in told[1]
     assert told[2] == "verdict: unknown. No effect in the catalogue improves the fit significantly."
-    assert lines(unknown)[0].startswith("The nominal model is handed back: no model reduces its error")
-    assert lines(no_gap)[:2] == ["The nominal model is handed back: its error, 0.41 % of range, is its own.",
+    assert lines(unknown)[0].startswith("The nominal model is handed back: no model significantly reduces its error")
+    assert lines(no_gap)[:2] == ["The nominal model is handed back: its error is 0.41 % of range (a band: 0.40 %).",
                                  "verdict: no_gap."]  # fmt: skip
+    refitted: Any = replace(no_gap, gap=replace(no_gap.gap, noise_floor=None), handed_back=("parameters",))
+    assert lines(refitted)[0] == (
+        "The refitted nominal model is handed back: its error is 0.41 % of range (no model of the input predicts it)."
+    )
     assert "electrode_rc (one lag): tau 12.3 ms (11.9 to 12.8); 90 % of the reduction, P 0.97; certain" in part_lines(
         explained
     )
@@ -223,6 +227,7 @@ def test_the_result_comes_before_the_verdict_under_every_verdict(explained, unkn
     shares = {0.0: "not certain", 0.06: "too small to be named as a cause", 0.5: "not certain"}
     unsure = replace(explained.parts[0], certainty="none")
     assert {share: certainty(replace(unsure, fraction=share)) for share in shares} == shares
+    assert certainty(replace(unsure, effect="term")) == "describes the error, names no cause"  # at P 1.00
     assert len(repr(explained).splitlines()) <= 10 and "12.3 ms" in explained._repr_html_()
 
 

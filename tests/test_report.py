@@ -11,10 +11,11 @@ from diagnosis_cases import budget, candidate, explained, no_gap, part, tied
 from matplotlib import rcParams
 
 from pitp_jax.application.pages.diagnosis import figures
-from pitp_jax.application.pages.diagnosis.page import report
+from pitp_jax.application.pages.diagnosis.page import ranking, report
 from pitp_jax.common.quantity import Units
 from pitp_jax.method.diagnose import rules
 from pitp_jax.method.diagnose.parts import Parts
+from pitp_jax.method.diagnose.words import next_step, result_line
 from pitp_jax.method.effects.words import plain_words
 
 
@@ -76,8 +77,8 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     assert "The model's own error: 0.40 % of range (a <band>)" in screen
     assert "electrode_rc90 %85 % to 95 %0.970" in text[text.index("Parts of the gap") :]
     assert "It stands out <here> & there." in screen
-    assert "delay: closes 62 %, error 1.5 % of range" in screen
-    assert "Every recording was predicted by a fit that did not use it" in screen
+    assert "delay alone: closes 62 %, error 1.5 % of range" in screen
+    assert "85 % of the error" in screen and "Worst recording: sine&4, 70 % of the error." in screen
     assert page.tags.count("svg") == len(figures.figures(explained)) == 5
 
 
@@ -89,7 +90,9 @@ def test_tables_hold_every_candidate_and_every_recording(read_tied):
     assert "limit = 5000 V" in text  # stored as its inverse
     assert "4.20·10⁷ V² s²/m²" in text
     for trace in diagnosis.traces:
-        assert f"{trace.name}{'held out' if trace.heldout else 'fitted'}2000" in text
+        assert f"{trace.name}2000" in text
+    assert "as given, error %handed back, error %" in text  # in sample; it was beside the words "held out"
+    assert "The model handed back was fitted to all of these recordings" in text
     assert page.tags.count("table") == 4
 
 
@@ -97,7 +100,8 @@ def test_ties_are_said_first_and_come_with_an_experiment(read_tied):
     _, page, text = read_tied
     assert "verdict: explained by electrode_rc, or by delay" in text
     assert "do not separate electrode_rc from delay" in text
-    assert "To separate electrode_rc from delay, play this: sine of 5 Hz" in text
+    assert "Next: play and record next_experiment.csv: a sine of 5 Hz for 4.0 s, to separate electrode_rc from" in text
+    assert "Play a sine of 5 Hz for 4.0 s, to separate electrode_rc from delay, within the voltages" in text
     assert "differ by 12 times the noise" in text
     assert page.tags.count("svg") == 6
 
@@ -107,19 +111,63 @@ def test_two_effects_are_both_told_with_their_own_numbers(explained):
     both = replace(
         explained, effects=("electrode_rc", "stiffening"), parts=Parts((*explained.parts, limit)),
         budget=budget(("electrode_rc", 0.5), ("stiffening", 0.4)), verdict="partly",
+        handed_back=("electrode_rc", "stiffening", "parameters"),
     )  # fmt: skip
     _, text = read(both)
     assert "verdict: partly by electrode_rc and stiffening" in text
-    assert "1 % can be predicted from the input, but no single cause is certain" in text
+    assert (
+        "energy of the error: 50 % electrode_rc; 40 % stiffening; 8 % remaining error; 1 % sensor offsets and initial "
+        "states; 1 % can be predicted from the input, but no single cause is certain" in text
+    )
     assert "limit = 4.000 mm (3.968 to 4.032)" in text
-    assert "electrode_rc + stiffening" in text and "stiffening40 %" in text
+    assert "electrode_rc + stiffening + parameterstogether" in text and "stiffening40 %" in text
+
+
+def test_a_row_of_the_ranking_with_all_parts_is_the_model_handed_back(explained):
+    """Its error was beside the names of the reported effects alone, though it also held an uncertain part."""
+    more = replace(explained, verdict="partly", handed_back=("electrode_rc", "drag", "parameters"))
+    first, *rows = ranking(more).rows
+    assert first[:2] == ("electrode_rc + drag + parameters", "together") and first[4] == explained.gap.after
+    assert figures.ranking(more)[0].axes[0].get_yticklabels()[0].get_text() == "model handed back"
+    assert len(ranking(explained).rows) == len(rows) == 4
+    assert len(ranking(replace(explained, handed_back=("electrode_rc", "parameters"))).rows) == 4
+
+
+def test_one_form_of_a_reported_effect_is_marked(explained):
+    """Two forms of a friction were in bold, of which the model held one."""
+    other = replace(explained.ranking[0], form="one lag each way", closed_fraction=0.17)
+    assert ranking(replace(explained, ranking=(*explained.ranking, other))).bold == [True, False, False, False, False]
+
+
+@pytest.mark.parametrize(("folds", "where"), [(4, "held-out recordings"), (3, "left-out parts of the recordings")])
+def test_parts_of_recordings_are_not_called_held_out_recordings(explained, folds, where):
+    assert f"on {where} from 8.0 % to 0.41 %" in result_line(replace(explained, folds=explained.folds[:folds]))
+
+
+def test_explained_leaves_nothing_to_be_found(explained):
+    """`explained` was followed by "diagnose again, because up to 47 % of the remaining error can be predicted"."""
+    more = replace(explained, gap=replace(explained.gap, explainable=0.2))
+    assert next_step(more).startswith("Next: predict and invert with model_augmented")
+    assert "up to 51 % of the remaining error" in next_step(replace(more, verdict="partly"))
+
+
+def test_a_refit_is_beside_the_given_models_curve(explained):
+    """The curve was called "model, refitted", and the model's own error "not known (not known in a refit)"."""
+    gap = replace(explained.gap, unrefitted=12.0, noise_floor=None, floor_from="not known in a refit")
+    legend = figures.gap(replace(explained, gap=gap))[0].axes[0].get_legend()
+    assert legend is not None and legend.get_texts()[1].get_text() == "model as given"
+    _, text = read(replace(explained, gap=gap))
+    assert "The model's own error: not known in a refit." in text
+    assert "Model as given: 12.0 %; refitted without any effect: 8.0 %." in text
 
 
 def test_no_gap_reads_as_good_news(no_gap):
     page, text = read(no_gap)
-    assert "The nominal model is handed back: its error, 0.41 % of range, is its own." in text
-    assert "Nowhere" in text and "stands out" not in text
-    assert "Which effect" not in text and page.tags.count("svg") == 1
+    assert "The nominal model is handed back: its error is 0.41 % of range (a band: 0.40 %)." in text
+    assert "There is no gap to close" in text and "stands out" not in text
+    assert "noise in every recording" not in text and "Parts of the gap" not in text and page.tags.count("svg") == 1
+    # all records have one fraction of no error: "14 % of the gap is in multisine" was beside the verdict
+    assert no_gap.as_json()["where"]["summary"] == result_line(no_gap)
 
 
 def test_a_changed_coefficient_is_an_explanation_of_its_own(explained):
@@ -132,12 +180,12 @@ def test_a_changed_coefficient_is_an_explanation_of_its_own(explained):
     )  # fmt: skip
     _, text = read(change)
     assert "own coefficients have changed" in text
-    assert "damping (a1) = × 1.280 (1.272 to 1.288)" in text
+    assert "damping (a1) × 1.280 (1.272 to 1.288)" in text
 
 
 def test_unknown_names_nothing_but_says_what_was_near_and_why(unknown):
     _, text = read(unknown)
-    assert "No single cause is certain" in text and "electrode_rc: closes 1 %" in text
+    assert "No single cause is certain" in text and "electrode_rc alone: closes 1 %" in text
     assert "No effect in the catalogue improves the fit significantly" in text and "explained by" not in text
 
 
@@ -147,7 +195,7 @@ def test_the_page_says_what_to_do_next_and_decides_by_the_verdicts_thresholds(ex
     assert "Next: predict and invert with model_augmented" in text
     assert "Next: play and record next_experiment.csv" in read(tied(explained))[1]
     linear = read(no_gap(explained))[1]
-    assert "Next: predict and invert with this model" in linear and "train it with `pitp fit`" in linear
+    assert "Next: predict and invert with this model" in linear and "train with `pitp fit`" in linear
     assert "Next: check " in read(unknown)[1]
     assert f"at most {rules.OWN:g} times" in text and f"P of at least {rules.SURE:g}" in text
 

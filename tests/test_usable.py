@@ -99,6 +99,8 @@ def test_the_next_experiment_moves_no_further_than_what_was_played(nominal):
     record = pitp.Record("next", found.time, found.voltage, 0 * found.time)
     reach = max(np.nanmax(s.output) for s in case.series) * nominal.scales.state[0]
     assert np.nanmax(pitp.predict(nominal, [record])[0].displacement) < 1.06 * reach
+    assert str(found) == f"{found.excitation} for {round(found.time[-1])} s, to separate a from b"
+    assert found.excitation.startswith("a sine of ") or found.excitation == "steps of six levels"
 
 
 @pytest.mark.slow

@@ -51,8 +51,24 @@ def test_an_error_is_told_in_its_record_band_and_tenth(case):
 def test_a_gap_in_no_cell_is_told_by_record_and_band(case):
     """Where nothing was observed no cell of band and amplitude was visited; the sentence goes without it."""
     where = locate(case._replace(motions=tuple(replace(m, weight=0 * m.weight) for m in case.motions)), nowhere(case))
-    assert where["cells"] == [] and "% of the gap is in" in where["summary"]
+    assert where["cells"] == [] and "14 % of the error is in sweep." in where["summary"]
     assert "largest for" not in where["summary"]
+
+
+def test_the_sentence_describes_one_cell_with_its_fraction(case):
+    """It spanned all cells with most of the force, such as inputs of 0 to 98.3 Hz, and named the only recording."""
+    errors, k = nowhere(case), index(case, "multisine")
+    errors[k] = np.sin(2 * np.pi * 5.0 * TIME)
+    where = locate(case._replace(unit="um"), errors)
+    cell = max(where["cells"], key=lambda c: c["share"])
+    (low, high), (least, most) = cell["band_hz"], (1e6 * edge for edge in cell["amplitude"])
+    assert where["summary"] == (
+        f"The missing force is largest for inputs of {low:.3g} to {high:.3g} Hz and motions of {least:.3g} to "
+        f"{most:.3g} µm ({100 * cell['share']:.0f} % of it). 100 % of the error is in multisine. "
+        f"{100 * share(where['frequency'], 'band_hz', 5.0):.0f} % of the error is at 3.5 to 7 Hz."
+    )
+    alone = locate(case._replace(motions=case.motions[k : k + 1]), errors[k : k + 1])
+    assert "of the error is in" not in alone["summary"] and "of the error is at" in alone["summary"]
 
 
 @pytest.mark.parametrize(("order", "name"), [(1, "1f"), (2, "2f"), (3, "3f"), (2.5, "other"), (7, "other")])

@@ -87,7 +87,7 @@ def test_finds_the_lag_and_says_so(run):
     assert (tau["unit"], tau["value"]) == ("s", pytest.approx(TAU, rel=0.02))
     assert run.told["gap"]["closed_fraction"] > 0.95
     assert "verdict: explained by electrode_rc" in run.out
-    assert run.out.startswith("The model handed back reduces the error on held-out recordings from ")
+    assert run.out.startswith("The model handed back reduces the error on left-out parts of the recordings from ")
     (part,) = run.told["parts"]
     assert (part["effect"], part["certainty"], run.told["refit"]) == ("electrode_rc", "certain", "no")
     low, high = part["parameters"]["tau"]["ci95"]

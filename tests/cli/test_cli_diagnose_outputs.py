@@ -78,19 +78,24 @@ def test_an_interrupted_diagnosis_writes_the_best_so_far(bench, quick, call, tmp
 @pytest.mark.slow
 def test_an_experiment_is_written_and_named_and_an_old_one_goes(bench, quick, call, tmp_path):
     time = np.arange(500) / 500
-    experiment = Experiment(("electrode_rc", "delay"), "sine of 5 Hz", time, 900 * np.sin(10 * np.pi * time), 12.0)
-    quick.found = replace(quick.found, equivalent=("delay",), next_experiment=experiment)
+    experiment = Experiment(("electrode_rc", "delay"), "a sine of 5 Hz", time, 900 * np.sin(10 * np.pi * time), 12.0)
+    parts = ("electrode_rc", "delay", "parameters")
+    quick.found = replace(quick.found, equivalent=("delay",), next_experiment=experiment, handed_back=parts)
     argv = ["diagnose", bench / "records", "--nominal", bench / "nominal", "--json", tmp_path / "j"]
     code, out, _ = call(*argv, "--out", tmp_path / "d")
     assert code == 0
     csv = tmp_path / "d" / "next_experiment.csv"
     told = json.loads((tmp_path / "j").read_text())["next_experiment"]
-    assert told == {"separates": ["electrode_rc", "delay"], "excitation": "sine of 5 Hz", "csv": str(csv)}
+    assert told == {"separates": ["electrode_rc", "delay"], "excitation": "a sine of 5 Hz", "csv": str(csv)}
     header, values = columns_of(csv)
     assert header == ["time_s", "voltage_V"]
     np.testing.assert_allclose(values[:, 1], experiment.voltage, atol=1e-5)
-    assert (tmp_path / "d" / "figures" / "next_experiment.png").is_file() and str(csv) in out
-    assert "electrode_rc" in out
+    assert (tmp_path / "d" / "figures" / "next_experiment.png").is_file()
+    assert "Next: play and record next_experiment.csv: a sine of 5 Hz for 1.00 s, to separate electrode_rc" in out
+    assert out.splitlines()[-1] == (
+        f"wrote {tmp_path / 'd' / 'report.html'} with its figures, {csv} and {tmp_path / 'd' / 'model_augmented'} "
+        "(with electrode_rc, delay and parameters)"
+    )
     assert call(*argv)[0] == 0
     assert json.loads((tmp_path / "j").read_text())["next_experiment"]["csv"] is None
     quick.found = replace(quick.found, verdict="no_gap", effects=(), next_experiment=None)

@@ -18,7 +18,7 @@ from ...files.model_file.model_file import save
 from ...files.recordings.remarks import counted
 from ...files.recordings.writing import write_signals, write_text_atomic
 from ...method.diagnose.diagnosis import Diagnosis
-from ...method.diagnose.words import NEXT_CSV
+from ...method.diagnose.words import NEXT_CSV, named
 from ...method.model.lineage import descended
 from ..against.entry import diagnose as run_diagnosis
 from ..against.mjcf import write_mjcf
@@ -154,11 +154,9 @@ def _write(
 def _say_written(robot: Diagnosis, out: Path, written: set[str], csv: str | None) -> None:
     """Remove files of an earlier diagnosis, and print the names of the written files."""
     _tidy(out, written)
-    added = f"with {' and '.join(robot.handed_back)}" if robot.handed_back else "the nominal"
-    page_words = f"{out / REPORT}, its figures, and " if REPORT in written else ""
-    print(f"wrote {page_words}{out / MODEL} ({added})")
-    if csv is not None and robot.next_experiment is not None:
-        print(f"next experiment, to separate {' from '.join(robot.next_experiment.separates)}: {csv}")
+    added = f"with {named(robot.handed_back)}" if robot.handed_back else "the nominal"
+    files = [f"{out / REPORT} with its figures"] if REPORT in written else []
+    print(f"wrote {named([*files, *([csv] if csv else []), f'{out / MODEL} ({added})'])}")
 
 
 def _write_mjcf(diagnosis: SimToReal, records, mjcf: str, joint: str, out: str, actuator: str | None) -> None:

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...common.numbers import figure
 from ..signal.reduced import centred_means
 from .data import Case
 from .library import Scale
@@ -37,6 +38,10 @@ class Experiment:
     voltage: np.ndarray
     difference: float
 
+    def __str__(self) -> str:
+        """Describe the excitation, its length, and what it separates."""
+        return f"{self.excitation} for {figure(self.time[-1], 2)} s, to separate {' from '.join(self.separates)}"
+
 
 def excitations(low: float, top: float, slew: float, hz: float, dt: float, size: float) -> dict[str, np.ndarray]:
     """Return voltages (V) by name, at the fraction `size` of the range, each about sixty natural periods long."""
@@ -48,10 +53,10 @@ def excitations(low: float, top: float, slew: float, hz: float, dt: float, size:
             continue
         # within the range and the slew that were played
         swing = size * min((top - low) / 2 * 0.95, slew / (2 * np.pi * m * hz))
-        drives[f"sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
+        drives[f"a sine of {m * hz:.3g} Hz"] = size * middle - swing * np.cos(2 * np.pi * m * hz * t)
         carrier = size * min(0.95 * top, -0.95 * low, slew / (2 * np.pi * m * hz))
         if carrier > 0:
-            drives[f"sine of {m * hz:.3g} Hz about zero"] = carrier * np.sin(2 * np.pi * m * hz * t)
+            drives[f"a sine of {m * hz:.3g} Hz about zero"] = carrier * np.sin(2 * np.pi * m * hz * t)
     level = low + np.repeat([0.2, 0.9, 0.5, 1.0, 0.1, 0.7], -(-len(t) // 6))[: len(t)] * (top - low)
     rise = max(int(np.ceil((top - low) / slew / dt)), 1)
     # a mean over the time that the largest step takes at the largest slew
@@ -83,15 +88,12 @@ def separate(case: Case, scale: Scale, a: Hypothesis, b: Hypothesis, names: tupl
         places, starts = list(range(len(drives))), np.zeros((len(drives), 2))
         # both hypotheses under the same voltages, from rest
         runs = [imagined.run(np.tile(h.fit.slots, (len(drives), 1)), places, starts) for h in (a, b)]
-        for (what, u), x, y in zip(tried.items(), *runs, strict=True):
-            if not (np.isfinite(x).all() and np.isfinite(y).all()):
+        for (what, u), *pair in zip(tried.items(), *runs, strict=True):
+            both = np.stack(pair)
+            # at most 5 % beyond the recorded stroke, where neither hypothesis was tested; nan is not inside
+            if not (both.max() <= 1.05 * reach[0] + 1e-9 and both.min() >= 1.05 * min(reach[1], 0.0) - 0.02 * reach[0]):
                 continue
-            # at most 5 % beyond the recorded stroke, where neither hypothesis was tested
-            inside = (
-                max(x.max(), y.max()) <= 1.05 * reach[0] + 1e-9
-                and min(x.min(), y.min()) >= min(reach[1], 0.0) * 1.05 - 0.02 * reach[0]
-            )
-            difference = float(np.std(x - y) / noise)
-            if inside and (best is None or difference > best.difference):
+            difference = float(np.std(both[0] - both[1]) / noise)
+            if best is None or difference > best.difference:
                 best = Experiment(names, what, np.arange(len(u)) * dt, u, difference)
     return best

@@ -11,7 +11,7 @@ from .parts import Parts
 from .result import Added, Ranked
 from .term import Term
 from .traces import Trace
-from .words import lines, summary
+from .words import lines, result_line, summary
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Diagnosis:
             "added": [vars(a) for a in self.added],
             "gap": vars(self.gap) | {"ci95": list(self.gap.ci95) if self.gap.ci95 else None},
             "ranking": [vars(r) | {"ci95": list(r.ci95) if r.ci95 else None} for r in self.ranking],
-            "where": self.where,
+            "where": self.where | ({"summary": result_line(self)} if self.verdict == "no_gap" else {}),
             "next_experiment": None
             if experiment is None
             else {"separates": list(experiment.separates), "excitation": experiment.excitation, "csv": csv},

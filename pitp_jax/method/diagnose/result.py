@@ -10,7 +10,7 @@ from ..model.model import Model
 from .evidence import probability
 from .fit import Fit
 from .gap import closed, interval, percent, spans
-from .library import CHANGED, CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, OFFSET, effects_of, family
+from .library import CORE, DELAY, FILTER, INDEX, LAG, LOGARITHM, OFFSET, effects_of, family
 from .search import Search
 
 _BLOCKS = 30  # of all records together; errors within one are correlated
@@ -118,9 +118,9 @@ def in_units(model: Model, effect, names: Sequence[str], fit: Fit, errors: dict[
             continue
         number, unit = physical(model, p, float(value))
         error = None
-        if slot in errors and np.isfinite(number):
+        if np.isfinite([number, errors.get(slot, np.inf)]).all():
             size = 1.0 if LOGARITHM[INDEX[slot]] else 1 / max(abs(fit.value(slot)), 1e-300)
-            error = abs(number) * size * errors[slot] if np.isfinite(errors[slot]) else None
+            error = abs(number) * size * errors[slot]
         rows[p.name] = {"value": float(number), "unit": unit, "stderr": error}
     return rows
 
@@ -158,14 +158,14 @@ def ranking_of(search: Search, low: float) -> tuple[Ranked, ...]:
         # each needs its own slopes: for the first three, which a reader compares
         errors = errors_of(search, fit) if len(rows) < 3 else {}
         numbers = _in_units(search, search.case.model, *mine, fit, errors) if mine else factors_of(search, fit, errors)
-        moved = label == CHANGED
-        form = mine[0].form if mine else "refitted coefficients" if moved else "of the library"
+        form = mine[0].form if mine else "refitted coefficients"
         row = Ranked(label, family(label), form, numbers, _train(search, fit), float("nan"), None, None, float("nan"))
         if len(rows) < len(hypotheses):
             h = hypotheses[len(rows)]
             after, sure = percent(h.evidence, ranges), probability(h.evidence, base)
-            ci95 = interval(base, h.evidence, ranges, low)
-            row = replace(row, heldout=after, closed_fraction=closed(before, after, low), ci95=ci95, probability=sure)
+            ci95, fraction = interval(base, h.evidence, ranges, low), closed(before, after, low)
+            fraction = fraction and max(fraction, -1.0)  # where its interval ends; None without a gap
+            row = replace(row, heldout=after, closed_fraction=fraction, ci95=ci95, probability=sure)
         rows.append(row)
     return tuple(rows)
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...common.numbers import percent, shown_unit
 from ...common.units import from_base
 from ..model.fitted import fitted_of
 from ..signal.excitation_kind import kind, spectrum
@@ -27,7 +28,6 @@ from .steady_tone import steady_tone
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10  # intervals of an axis of the tables
-_MOST = 0.6  # of the missing force's energy, in the cells that the sentence spans
 _FLAG = 0.15  # a flagged cell's missing force, rms, relative to that of the largest cell
 
 
@@ -199,8 +199,7 @@ def _axis(seen: Seen, quiet: float, index: int | None) -> list[dict]:
     edges = np.linspace(low, high, _BINS + 1)
     energy = np.zeros(_BINS)
     for m, v in zip(seen.motions, values, strict=True):
-        inside = np.clip(v, low, high)
-        energy += np.histogram(inside, edges, weights=(m.weight > 0) * (m.force**2 - quiet) / len(v))[0]
+        energy += np.histogram(np.clip(v, low, high), edges, weights=(m.weight > 0) * (m.force**2 - quiet) / len(v))[0]
     return _binned("range", edges * scale, energy)
 
 
@@ -254,31 +253,20 @@ def windows(s: Motion, seen: Seen):
 
 
 def _sentence(seen: Seen, out: dict) -> str:
-    """Describe the cells with most of the error, and the record and band with the largest fraction."""
-    unit = seen.unit
-    factor = from_base(1.0, unit)
-    ordered = sorted(out["cells"], key=lambda c: -c["share"])
-    # as many of the largest cells as hold most of the gap
-    held = np.cumsum([c["share"] for c in ordered])
-    loud = ordered[: int(np.searchsorted(held, _MOST)) + 1]
-    record = max(out["records"], key=out["records"].get)
-    lines = max(out["frequency"], key=lambda f: f["share"])
-    tone = out["tone"]
-    steady = ""
-    if tone is not None:
-        steady = (
-            f"A steady tone at {tone['hz']:.4g} Hz makes up {100 * tone['share']:.0f} % of the gap or more in every "
-            "recording, for every input. "
+    """Describe the cell with the largest missing force, and the record and the band with the largest error."""
+    texts = []
+    band = max(out["frequency"], key=lambda f: f["share"])
+    record, share = max(out["records"].items(), key=lambda item: item[1])
+    for cell in sorted(out["cells"], key=lambda c: -c["share"])[:1]:
+        low, high = (from_base(size, seen.unit) for size in cell["amplitude"])
+        texts.append(
+            f"The missing force is largest for inputs of {_hertz(cell)} and motions of {low:.3g} to {high:.3g} "
+            f"{shown_unit(seen.unit)} ({percent(cell['share'])} of it)."
         )
-    largest = ""
-    if loud:
-        band = [min(c["band_hz"][0] for c in loud), max(c["band_hz"][1] for c in loud)]
-        size = [min(c["amplitude"][0] for c in loud), max(c["amplitude"][1] for c in loud)]
-        largest = (
-            f"The missing force is largest for inputs of {band[0]:.3g} to {band[1]:.3g} Hz and motions of "
-            f"{factor * size[0]:.3g} to {factor * size[1]:.3g} {unit}; "
-        )
-    return f"{steady}{largest}" + (
-        f"{100 * out['records'][record]:.0f} % of the gap is in {record}, and {100 * lines['share']:.0f} % between "
-        f"{lines['band_hz'][0]:.3g} and {lines['band_hz'][1]:.3g} Hz."
-    )
+    if len(out["records"]) > 1:
+        texts.append(f"{percent(share)} of the error is in {record}.")
+    return " ".join([*texts, f"{percent(band['share'])} of the error is at {_hertz(band)}."])
+
+
+def _hertz(row: dict) -> str:
+    return "{:.3g} to {:.3g} Hz".format(*row["band_hz"])

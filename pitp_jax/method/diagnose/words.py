@@ -5,12 +5,20 @@ import numpy as np
 from ...common.numbers import figure, interval, of_range, percent
 from ...common.page import Page, Table
 from ..effects.words import parameter, plain_words
-from ..model.encoder import ConstantEncoder
 from ..model.units import units_of
 from . import rules
+from .data import FEWEST_FOLDS
+from .library import FREE
 from .traces import Trace
 
-NEXT_CSV = "next_experiment.csv"
+NEXT_CSV, TONE = "next_experiment.csv", "steady_tone"
+CAUSES = {
+    "nuisance": "sensor offsets and initial states",
+    "parameters": "changed coefficients",
+    "simulator": "the model of the simulator",
+    "unnamed": "can be predicted from the input, but no single cause is certain",
+    "unexplainable": "remaining error",
+}
 
 
 def lines(d) -> list[str]:
@@ -41,30 +49,26 @@ def verdict_lines(d) -> list[str]:
         return [*text, next_step(d)]
     text += [f"{name}: {plain_words(name, units_of(d.model))}" for name in d.effects]
     if d.term is not None:
-        closed = percent(d.term.closed_fraction or 0)
-        text.append(f"{d.term.equation}: closes {closed}, -> {d.term.after:.3g} %")
-    if tone := d.where.get("tone"):
+        text.append(d.term.equation)
+    if (tone := d.where.get("tone")) and d.effects != (TONE,):
         text.append(
-            f"In every recording, at least {percent(tone['share'])} of the error is one oscillation at "
-            f"{figure(tone['hz'])} Hz, for every input. Something disturbs the rig from outside (vibration, electrical "
-            "interference, a supply)."
+            f"In every recording, at least {percent(tone['share'])} of the error is one oscillation at about "
+            f"{figure(tone['hz'], 2)} Hz, for every input."
         )
-    return [*text, f"energy of the error: {', '.join(_rest(d))}", d.where["summary"], next_step(d)]
+    energy = [f"{percent(part['share'])} {cause}" for cause, part in causes(d.budget) if part["share"] >= 0.01]
+    return [*text, f"energy of the error: {'; '.join(energy)}", d.where["summary"], next_step(d)]
 
 
-def _rest(d) -> list[str]:
-    """Return the parts of the error's energy that no reported effect explains."""
-    parts = (
-        ("unnamed", "can be predicted from the input, but no single cause is certain"),
-        ("unexplainable", "is left by the parts above" if further(d) else "is predicted by no model tried here"),
-    )
-    shares = {k: d.budget[k]["share"] for k, _ in parts}
-    return [f"{percent(shares[k])} {text}" for k, text in parts if shares[k] >= 0.005 or k != "unnamed"]
+def causes(budget: dict) -> list[tuple[str, dict]]:
+    """Return all parts of the error's energy by their cause in words, the largest first."""
+    words = ((CAUSES.get(k) or k, part) for k, part in (budget | budget["effects"]).items() if k != "effects")
+    return sorted(words, key=lambda row: -row[1]["share"])
 
 
 def further(d) -> float:
-    """Return the fraction of the remaining error that another model predicts; 0 if it is small."""
-    fraction = 1 - d.gap.explainable / d.gap.after if d.handed_back and d.gap.after > 0 else 0.0
+    """Return the fraction of the remaining error that another model predicts; 0 if it is small or at its floor."""
+    after = d.gap.after if d.handed_back and d.verdict != "explained" else 0.0
+    fraction = 1 - d.gap.explainable / after if after else 0.0
     return fraction if fraction > 1 - rules.FIRST else 0.0
 
 
@@ -73,16 +77,18 @@ def result_line(d) -> str:
     g = d.gap
     if d.verdict == "no_gap":
         which = "refitted nominal model" if d.handed_back else "nominal model"
-        return f"The {which} is handed back: its error, {of_range(g.before)} of range, is its own."
-    where = "held-out recordings" if d.heldout else "left-out parts of the recordings"
-    if d.effects == ("steady_tone",):
+        own = f"{g.floor_from}: {of_range(g.noise_floor)}" if g.noise_floor else "no model of the input predicts it"
+        return f"The {which} is handed back: its error is {of_range(g.before)} of range ({own})."
+    where = "held-out recordings" if len(d.folds) >= FEWEST_FOLDS else "left-out parts of the recordings"
+    if d.effects == (TONE,):
         return (
             f"The nominal model is handed back: without the tone its error is {of_range(g.after)} of range "
             f"({of_range(g.before)} with it)."
         )
     if not d.handed_back:
         return (
-            f"The nominal model is handed back: no model reduces its error on {where} ({of_range(g.before)} of range)."
+            f"The nominal model is handed back: no model significantly reduces its error on {where} "
+            f"({of_range(g.before)} of range)."
         )
     given = f" (as given: {of_range(g.unrefitted)})" if g.unrefitted != g.before else ""
     closed = ""
@@ -110,7 +116,8 @@ def part_lines(d) -> list[str]:
 def numbers_of(d, part, equals: str = " ") -> list[str]:
     """Return the parameters of an effect, one text each."""
     unit = d.model.origin.displacement_unit
-    return [equals.join(parameter(name, number, unit)) for name, number in part.parameters.items()]
+    texts = (equals.join(parameter(name, number, unit)) for name, number in part.parameters.items())
+    return [text.replace("= ×", "×") for text in texts]
 
 
 def certainty(part) -> str:
@@ -118,20 +125,20 @@ def certainty(part) -> str:
     if part.certainty == "tied":
         return f"tied: these recordings do not separate it from {named(part.tied)}"
     if part.certainty == "likely":
-        return f"likely; to make it certain, record {part.recording}"
+        return f"likely; to make it certain, record {part.experiment or part.recording}"
     if part.certainty == "certain":
         return "certain"
+    if part.effect == FREE:
+        return "describes the error, names no cause"
     return "too small to be named as a cause" if 0 < part.fraction < rules.LISTED else "not certain"
 
 
 def next_step(d) -> str:
     """Recommend the next step after a diagnosis, in one sentence."""
     if d.verdict == "no_gap":
-        if isinstance(d.model.encoder, ConstantEncoder):
-            return "Next: predict and invert with this model; if its error is too large, train it with `pitp fit`."
-        return "Next: predict and invert with this model; more recordings would not improve it."
+        return "Next: predict and invert with this model; if its error is too large, train with `pitp fit`."
     if d.next_experiment is not None:
-        return f"Next: play and record {NEXT_CSV}, which separates {named(d.next_experiment.separates)}."
+        return f"Next: play and record {NEXT_CSV}: {d.next_experiment}."
     if d.where.get("tone"):
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
     if fraction := further(d):
@@ -141,25 +148,21 @@ def next_step(d) -> str:
         )
     if d.effects:
         return "Next: predict and invert with model_augmented, or repair the rig and diagnose again."
-    return f"Next: check {worst(d).name}, which holds most of the gap, then record an input of another kind."
+    return f"Next: check {worst(d).name}, which has the largest error, then record an input of another kind."
 
 
 def worst(d) -> Trace:
     """Return the record that holds most of the gap: by `where`, otherwise the largest error relative to its range."""
-    held, shares = [t for t in d.traces if t.heldout] or list(d.traces), d.where["records"]
-    return max(held, key=lambda t: (shares.get(t.name, 0.0), np.nan_to_num(errors(t)[0])))
+    return max(d.traces, key=lambda t: (d.where["records"].get(t.name, 0.0), np.nan_to_num(errors(t)[0])))
 
 
 def errors(trace: Trace) -> tuple[float, float]:
     """Return e_rms (% of range) of the nominal and the returned model on a record; nan without measurement."""
-    seen = np.isfinite(trace.measured)
-    if not seen.any() or not np.ptp(trace.measured[seen]):
+    if not np.isfinite(trace.measured).any() or not trace.span:
         return float("nan"), float("nan")
-    first, second = (
-        100 * float(np.sqrt(np.mean((y - trace.measured)[seen] ** 2)) / np.ptp(trace.measured[seen]))
-        for y in (trace.nominal, trace.augmented)
-    )
-    return first, second
+    runs = np.stack([trace.nominal, trace.augmented])
+    first, second = 100 * np.sqrt(np.nanmean((runs - trace.measured) ** 2, axis=1)) / trace.span
+    return float(first), float(second)
 
 
 def named(names) -> str:

@@ -49,20 +49,14 @@ def figures(d: Diagnosis) -> dict[str, Picture]:
 
 
 def gap(d: Diagnosis) -> tuple[Figure, str]:
-    """Draw measured, nominal and returned output of the worst held-out record, with both errors below."""
+    """Draw measured, nominal and returned output of the worst record, with both errors below."""
     units, trace = units_of(d.model), worst(d)
-    runs = [("model, refitted" if refitted(d) else "model as given", trace.nominal, ERROR)]
-    if d.handed_back or d.effects:
-        label = "best candidate"
-        if d.effects:
-            label = f"with {'all effects' if len(d.effects) > 1 else ''.join(d.effects)}"
-        elif d.term is not None:
-            label = "with the found equation"
-        runs.append((label, trace.augmented, PREDICTED))
+    runs = [("model as given", trace.nominal, ERROR)]
+    if d.handed_back:
+        runs.append(("model handed back", trace.augmented, PREDICTED))
     words, measured = (units.output_word, "error"), ("measured", trace.measured)
     drawn = beside(trace.time, measured, runs, units.output.unit, words, telling(trace))
-    side = "held out" if d.heldout else "no recording was held out"
-    return drawn, f"{trace.name} ({side}), the part with the largest error. Below: model minus measurement."
+    return drawn, f"{trace.name}, the part with the largest error. Below: model minus measurement."
 
 
 def telling(trace: Trace) -> slice:
@@ -105,8 +99,9 @@ def where_map(d: Diagnosis) -> tuple[Figure, str]:
     ax.grid(visible=False)
     ax.set_xticks(*_edges(bands, 1.0))
     ax.set_yticks(*_edges(sizes, scale))
-    caption = "Fraction of the missing force by frequency and amplitude of the input. Outlined: clearly above average."
-    return figure_of(ax), caption
+    return figure_of(ax), (
+        "Fraction of the missing force by the input's frequency and the motion's amplitude. Outlined: above the noise."
+    )
 
 
 def _edges(pairs: Sequence[tuple[float, float]], scale: float) -> tuple[range, list[str]]:
@@ -119,7 +114,7 @@ def _edges(pairs: Sequence[tuple[float, float]], scale: float) -> tuple[range, l
 
 def ranking(d: Diagnosis) -> tuple[Figure, str]:
     """Draw the fraction of the held-out gap that each effect closes, with its interval, the largest first."""
-    rows = [("all reported", d.gap)] if len(d.effects) > 1 and d.gap.closed_fraction is not None else []
+    rows = [("model handed back", d.gap)] if has_several(d) and d.gap.closed_fraction is not None else []
     best = {r.effect: r for r in reversed(d.ranking) if r.closed_fraction is not None}  # of a name its best form
     # at most 12 effects fit into the figure
     rows += [(r.effect, r) for r in by_closed_fraction([*best.values()])][: 12 - len(rows)]
@@ -136,14 +131,14 @@ def ranking(d: Diagnosis) -> tuple[Figure, str]:
         ax.text(1.03, k, fraction_closed(r.closed_fraction) + tied, va="center", fontsize=_SMALL)
     if not rows:
         ax.text(0.5, 0.5, "no gap to close", ha="center", va="center", fontsize=_SMALL + 1)
-    finish(axes, "fraction of the held-out gap closed", [""])
+    finish(axes, "fraction of the gap closed", [""])
     ax.set_yticks(range(len(rows)), [name for name, _ in rows])
     ax.set_xticks([0, 0.25, 0.5, 0.75, 1.0], ["0", "25 %", "50 %", "75 %", "100 %"])
     ax.set(xlim=(0, 1.02), ylim=(max(len(rows), 1) - 0.4, -0.6))
     ax.grid(visible=False, axis="y")
     return figure_of(ax), (
-        f"Fraction of the {'held-out ' if d.heldout else ''}gap that each effect closes by itself, with its 95 % "
-        "interval, the largest first. At 100 % only the model's own error remains. Blue: reported; orange: tied."
+        "Fraction of the gap that each effect closes by itself, with its 95 % interval, the largest first. At 100 % "
+        "only the model's own error remains. Blue: reported; orange: tied."
     )
 
 
@@ -212,6 +207,6 @@ def scaling(quantity: Quantity) -> tuple[float, str]:
     return 1 / quantity.factor, shown_unit(quantity.unit)
 
 
-def refitted(d: Diagnosis) -> bool:
-    """Return whether the nominal's coefficients were refitted: its error differs from the given model's."""
-    return d.gap.before != d.gap.unrefitted
+def has_several(d: Diagnosis) -> bool:
+    """Return whether the model handed back has several parts beside changed coefficients."""
+    return len({*d.handed_back} - {"parameters"}) > 1

@@ -3,16 +3,14 @@
 from collections.abc import Mapping
 from dataclasses import replace
 
-import numpy as np
-
 from ....common.numbers import figure, interval, of_range, percent
 from ....common.page import Card, Page, Section, Table
 from ....common.picture import Picture
 from ....method.diagnose import rules
 from ....method.diagnose.diagnosis import Diagnosis
-from ....method.diagnose.words import NEXT_CSV, errors, named, numbers_of, summary, worst
+from ....method.diagnose.words import NEXT_CSV, causes, errors, named, numbers_of, summary, worst
 from ....method.model.units import units_of
-from .figures import by_closed_fraction, figures, fraction_closed, refitted, scaling
+from .figures import by_closed_fraction, figures, fraction_closed, has_several, scaling
 
 
 def report(d: Diagnosis, drawn: Mapping[str, Picture] | None = None) -> Page:
@@ -24,11 +22,11 @@ def report(d: Diagnosis, drawn: Mapping[str, Picture] | None = None) -> Page:
     """
     drawn = figures(d) if drawn is None else drawn
     sections = [
-        [_where(d), _which(d), _how_far(d)],
+        [_how_far(d)] if d.verdict == "no_gap" else [_where(d), _which(d), _how_far(d)],
         Section("The gap at a glance", [[drawn[name] for name in ("gap", "ranking") if name in drawn]]),
         Section("Where it lies", [[drawn[name] for name in ("where", "shares", "force") if name in drawn]]),
         *_next(d, drawn),
-        Section("Parts of the gap", [budget_table(d.budget)]),
+        Section("Parts of the gap", [] if d.verdict == "no_gap" else [budget_table(d.budget)]),
         Section("All candidates", [ranking(d)]),
         Section("Recordings", [_records(d), [f"Note: {line}{'' if line[-1:] in '.?' else '.'}" for line in d.notes]]),
         _reading(),
@@ -37,21 +35,16 @@ def report(d: Diagnosis, drawn: Mapping[str, Picture] | None = None) -> Page:
 
 
 def _where(d: Diagnosis) -> Card:
-    if d.verdict == "no_gap":
-        return Card("Where", "Nowhere", ["The remaining error is noise in every recording."])
-    band = max(d.where["frequency"], key=lambda row: row["share"])["band_hz"]
-    side = "held-out recording" if d.heldout else "recording"
+    row = max(d.where["frequency"], key=lambda row: row["share"])
     of_gap = percent(d.where["records"].get(worst(d).name, 0.0))
-    line = f"Worst {side}: {worst(d).name}, {of_gap} of the gap."
-    return Card("Where", f"{figure(band[0])} to {figure(band[1])} Hz", [line])
+    lines = [f"{percent(row['share'])} of the error.", f"Worst recording: {worst(d).name}, {of_gap} of the error."]
+    return Card("Where", " to ".join(map(figure, row["band_hz"])) + " Hz", lines)
 
 
 def _which(d: Diagnosis) -> Card:
-    if d.verdict == "no_gap":
-        return Card("Which", "None", ["No effect reduces the error below the model's own error."])
     scored = [r for r in d.ranking if r.effect not in d.effects and r.closed_fraction is not None]
     nearest = [
-        f"{r.effect}: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range"
+        f"{r.effect} alone: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range"
         for r in by_closed_fraction(scored)[:3]
     ]
     if d.equivalent:
@@ -61,36 +54,19 @@ def _which(d: Diagnosis) -> Card:
 
 def _how_far(d: Diagnosis) -> Card:
     g = d.gap
-    floor = "not known" if g.noise_floor is None else f"{of_range(g.noise_floor)} of range"
-    lines = [f"The model's own error: {floor} ({g.floor_from})."]
-    if refitted(d):
+    own = g.floor_from if g.noise_floor is None else f"{of_range(g.noise_floor)} of range ({g.floor_from})"
+    lines = [f"The model's own error: {own}."]
+    if g.before != g.unrefitted:
         lines.append(f"Model as given: {of_range(g.unrefitted)}; refitted without any effect: {of_range(g.before)}.")
     if d.verdict == "no_gap":
         return Card("How far", f"{of_range(g.before)} of range", ["There is no gap to close.", *lines])
-    scale, unit = scaling(units_of(d.model).output)
-    held = [t for t in d.traces if t.heldout] or d.traces
-    before, after = (
-        scale * np.sqrt(np.mean([np.nanmean((run - t.measured) ** 2) for t, run in runs]))
-        for runs in ([(t, t.nominal) for t in held], [(t, t.augmented) for t in held])
-    )
-    lines.append(f"In {unit}, rms: {figure(float(before), 2)} → {figure(float(after), 2)}.")
-    if d.heldout:
-        lines.append("Every recording was predicted by a fit that did not use it.")
     return Card("How far", f"{of_range(g.before)} → {of_range(g.after)}", lines)
 
 
 def budget_table(budget: dict) -> Table:
     """Return the table of the gap's energy by cause."""
-    words = {
-        "nuisance": "sensor offsets and initial states",
-        "parameters": "changed coefficients",
-        "simulator": "the model of the simulator",
-        "unnamed": "predictable from the input, no single cause certain",
-        "unexplainable": "not predictable from the input",
-    }
-    parts = [*budget.get("effects", {}).items(), *((text, budget[key]) for key, text in words.items() if key in budget)]
     rows = []
-    for name, part in sorted(parts, key=lambda item: -item[1]["share"]):
+    for name, part in causes(budget):
         ends = interval(*part["ci95"]) if part.get("ci95") else ""
         rows.append((name, percent(part["share"]), ends, part.get("probability")))
     header = ("part", "of the gap's energy", "95 % interval", "P")
@@ -101,9 +77,8 @@ def _next(d: Diagnosis, drawn: Mapping[str, Picture]) -> list[Section]:
     e = d.next_experiment
     if e is None:
         return []
-    seconds = figure(float(e.time[-1] - e.time[0]), 2)
     text = (
-        f"To separate {' from '.join(e.separates)}, play this: {e.excitation}, for {seconds} s, within the "
+        f"Play {e}, within the "
         f"{units_of(d.model).input_word}s and slews already played ({NEXT_CSV}). The predicted outputs differ by "
         f"{figure(e.difference, 2)} times the noise."
     )
@@ -113,14 +88,15 @@ def _next(d: Diagnosis, drawn: Mapping[str, Picture]) -> list[Section]:
 def ranking(d: Diagnosis) -> Table:
     """Return the table of all candidates, for the page and the terminal."""
     rows = []
-    if len(d.effects) > 1:
-        rows.append((" + ".join(d.effects), "together", "", None, d.gap.after, _closed(d.gap)))
+    if has_several(d):
+        rows.append((" + ".join(d.handed_back), "together", "", None, d.gap.after, _closed(d.gap)))
     ranked = by_closed_fraction(d.ranking)
+    best = {r.effect: r for r in reversed(ranked)}
     for r in ranked:
         tied = " (tied)" if r.effect in d.equivalent else ""
         parameters = "; ".join(numbers_of(d, r, " = "))
         rows.append((f"{r.effect}{tied}", r.form, parameters, r.train, r.heldout, _closed(r)))
-    bold = [True] * (len(rows) - len(ranked)) + [r.effect in d.effects for r in ranked]
+    bold = [True] * (len(rows) - len(ranked)) + [r.effect in d.effects and best[r.effect] is r for r in ranked]
     header = ("effect", "form", "parameters", "fitted, error %", "held out, error %", "closed (95 % interval)")
     note = (
         "Each effect alone, in its best form; the largest closed fraction first. Errors in % of a recording's range. "
@@ -140,16 +116,16 @@ def _records(d: Diagnosis) -> Table:
     rows, of_gap = [], d.where["records"]
     for t in sorted(d.traces, key=lambda t: -of_gap.get(t.name, 0.0)):
         before, after = errors(t)
-        used, seconds = "held out" if t.heldout else "fitted", float(t.time[-1] - t.time[0])
-        numbers = (seconds, scale * t.span, before, after)
-        rows.append((t.name, used, str(len(t.time)), *numbers, percent(of_gap.get(t.name))))
+        numbers = (float(t.time[-1] - t.time[0]), scale * t.span, before, after if d.handed_back else None)
+        rows.append((t.name, str(len(t.time)), *numbers, percent(of_gap.get(t.name))))
     header = (
-        "recording", "used", "samples", "length (s)", f"range ({unit})", "model, error %", "after, error %",
-        "of the gap",
+        "recording", "samples", "length (s)", f"range ({unit})", "as given, error %", "handed back, error %",
+        "of the error",
     )  # fmt: skip
     if d.verdict == "no_gap":  # nothing follows, and fractions of noise have no meaning
-        return Table(header[:6], [row[:6] for row in rows], "", text=(0, 1))
-    return Table(header, rows, "The largest part of the gap first.", text=(0, 1))
+        return Table(header[:5], [row[:5] for row in rows])
+    note = "The largest part of the error first. The model handed back was fitted to all of these recordings."
+    return Table(header, rows, note)
 
 
 def _reading() -> Section:
