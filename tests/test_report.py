@@ -134,9 +134,9 @@ def test_a_row_of_the_ranking_with_all_parts_is_the_model_handed_back(explained)
 
 
 def test_one_form_of_a_reported_effect_is_marked(explained):
-    """Two forms of a friction were in bold, of which the model held one."""
-    other = replace(explained.ranking[0], form="one lag each way", closed_fraction=0.17)
-    assert ranking(replace(explained, ranking=(*explained.ranking, other))).bold == [True, False, False, False, False]
+    """Two forms of a friction were in bold, of which the model held one; it is not always the one that closes most."""
+    other = replace(explained.ranking[0], form="one lag each way", closed_fraction=0.999)
+    assert ranking(replace(explained, ranking=(*explained.ranking, other))).bold == [False, True, False, False, False]
 
 
 @pytest.mark.parametrize(("folds", "where"), [(4, "held-out recordings"), (3, "left-out parts of the recordings")])

@@ -23,6 +23,8 @@ def test_a_line_in_every_recording_is_a_disturbance(unknown):
     hummed = replace(unknown, where=where() | {"tone": {"hz": 7.48, "records": 3, "share": 0.93}})
     assert "at least 93 % of the error is one oscillation at about 7.5 Hz" in " ".join(verdict_lines(hummed))
     assert "find the source of this oscillation" in next_step(replace(hummed, next_experiment=None))
+    stopped = replace(unknown, notes=("The search stopped after 5 s (--seconds) and did not try: sets of 2 effects",))
+    assert next_step(stopped) == "Next: diagnose again without a limit of time (--seconds)."
     # the part has the frequency to its error, 2.846407 Hz, beside which the line of the spectrum was 2.80 Hz
     named = replace(hummed, verdict="explained", effects=("steady_tone",))
     assert "7.5 Hz" not in " ".join(verdict_lines(named))

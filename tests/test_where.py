@@ -78,6 +78,14 @@ def test_an_error_is_told_at_the_harmonic_it_has(case, order, name):
     assert locate(case, errors)["harmonics"][name] > 0.95
 
 
+@pytest.mark.parametrize("periods", [1, 2, 8])
+def test_a_drift_is_not_a_tone(case, periods):
+    """Of a sensor that wanders, one period in a recording held 85 % of the error: "one oscillation at 0.100 Hz"."""
+    slow = np.sin(2 * np.pi * periods * TIME / (TIME[-1] - TIME[0]))
+    tone = locate(case, [slow for _ in case.motions])["tone"]
+    assert (tone is not None) == (periods >= 4)
+
+
 def test_noise_has_no_fraction_of_the_harmonics(case):
     """White noise of the stated deviation, and a line at twice the frequency with the same energy."""
     errors, k, size = nowhere(case), index(case, "sine3"), 0.1

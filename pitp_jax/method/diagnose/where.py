@@ -28,6 +28,7 @@ from .steady_tone import steady_tone
 AMPLITUDE_EDGES = np.array([0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9, 1.01])  # of the largest displacement
 BAND_EDGES = np.array([0.0, 0.15, 0.35, 0.7, 1.4, 2.8, 6.0])  # of the nominal's natural frequency
 _BINS = 10  # intervals of an axis of the tables
+_PERIODS = 4  # of a tone in the longest record, at least; a random walk of 6 % of range had one
 _FLAG = 0.15  # a flagged cell's missing force, rms, relative to that of the largest cell
 
 
@@ -178,7 +179,10 @@ def _tone(seen: Seen, errors) -> dict | None:
         [s.record.voltage for s in seen.motions],
         [seen.dt] * len(errors),
     )
-    return None if tone is None else {"hz": tone[0], "records": len(errors), "share": tone[1]}
+    # within one of the lowest lines a drift has as much of its energy
+    if tone is not None and tone[0] * seen.dt * max(map(len, errors)) >= _PERIODS:
+        return {"hz": tone[0], "records": len(errors), "share": tone[1]}
+    return None
 
 
 def _time(seen: Seen, errors) -> list[dict]:

@@ -31,14 +31,12 @@ def summary(d) -> Page:
     rows = []
     for p in d.parts:
         values = "; ".join(numbers_of(d, p, " = "))
-        share = percent(p.fraction) if p.fraction else ""
-        rows.append((p.effect, p.form, values, share, p.probability, certainty(p)))
+        rows.append((p.effect, p.form, values, percent(p.fraction or None), p.probability, certainty(p)))
     header = ("part", "form", "values (95 % interval)", "of the reduction", "P", "certainty")
-    note = "Parts of the model handed back, the largest first."
-    table = Table(header, rows, note, [p.effect in d.effects for p in d.parts], (0, 1, 2, 5))
-    css = {"explained": "good", "unknown": "open"}.get(d.verdict, "")
+    table = Table(header, rows, "The largest part first.", [p.effect in d.effects for p in d.parts], (0, 1, 2, 5))
     kind = "Diagnosis: a model beside recordings of the real actuator"
-    return Page(result_line(d), kind, [table, *verdict_lines(d)], css=css)
+    css = {"explained": "good", "unknown": "open"}
+    return Page(result_line(d), kind, [table, *verdict_lines(d)], css=css.get(d.verdict, ""))
 
 
 def verdict_lines(d) -> list[str]:
@@ -65,13 +63,6 @@ def causes(budget: dict) -> list[tuple[str, dict]]:
     return sorted(words, key=lambda row: -row[1]["share"])
 
 
-def further(d) -> float:
-    """Return the fraction of the remaining error that another model predicts; 0 if it is small or at its floor."""
-    after = d.gap.after if d.handed_back and d.verdict != "explained" else 0.0
-    fraction = 1 - d.gap.explainable / after if after else 0.0
-    return fraction if fraction > 1 - rules.FIRST else 0.0
-
-
 def result_line(d) -> str:
     """Describe by how much the returned model reduces the error, out of sample, in one line."""
     g = d.gap
@@ -91,10 +82,7 @@ def result_line(d) -> str:
             f"({of_range(g.before)} of range)."
         )
     given = f" (as given: {of_range(g.unrefitted)})" if g.unrefitted != g.before else ""
-    closed = ""
-    if g.closed_fraction is not None:
-        ends = f", 95 % interval {interval(*g.ci95)}" if g.ci95 else ""
-        closed = f": {percent(g.closed_fraction)} of the gap is closed{ends}"
+    closed = f": {percent(g.closed_fraction)} of the gap is closed, 95 % interval {interval(*g.ci95)}" if g.ci95 else ""
     return (
         f"The model handed back reduces the error on {where} from {of_range(g.before)}{given} to {of_range(g.after)} "
         f"of range{closed}."
@@ -137,13 +125,16 @@ def next_step(d) -> str:
     """Recommend the next step after a diagnosis, in one sentence."""
     if d.verdict == "no_gap":
         return "Next: predict and invert with this model; if its error is too large, train with `pitp fit`."
+    if d.verdict == "unknown" and "The search stopped" in " ".join(d.notes):
+        return "Next: diagnose again without a limit of time (--seconds)."
     if d.next_experiment is not None:
         return f"Next: play and record {NEXT_CSV}: {d.next_experiment}."
     if d.where.get("tone"):
         return "Next: find the source of this oscillation; no model of the actuator can predict it."
-    if fraction := further(d):
+    left = d.gap.explainable / d.gap.after if d.handed_back and d.gap.after else 1.0
+    if left < rules.FIRST and d.verdict != "explained":
         return (
-            f"Next: diagnose again with --nominal model_augmented, because up to {percent(fraction)} of the remaining "
+            f"Next: diagnose again with --nominal model_augmented, because up to {percent(1 - left)} of the remaining "
             "error can be predicted."
         )
     if d.effects:
@@ -161,8 +152,8 @@ def errors(trace: Trace) -> tuple[float, float]:
     if not np.isfinite(trace.measured).any() or not trace.span:
         return float("nan"), float("nan")
     runs = np.stack([trace.nominal, trace.augmented])
-    first, second = 100 * np.sqrt(np.nanmean((runs - trace.measured) ** 2, axis=1)) / trace.span
-    return float(first), float(second)
+    first, second = (100 * np.sqrt(np.nanmean((runs - trace.measured) ** 2, axis=1)) / trace.span).tolist()
+    return first, second
 
 
 def named(names) -> str:

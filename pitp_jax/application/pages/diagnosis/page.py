@@ -67,8 +67,7 @@ def budget_table(budget: dict) -> Table:
     """Return the table of the gap's energy by cause."""
     rows = []
     for name, part in causes(budget):
-        ends = interval(*part["ci95"]) if part.get("ci95") else ""
-        rows.append((name, percent(part["share"]), ends, part.get("probability")))
+        rows.append((name, percent(part["share"]), interval(*part["ci95"]), part.get("probability")))
     header = ("part", "of the gap's energy", "95 % interval", "P")
     return Table(header, rows, "The largest part first.")
 
@@ -91,16 +90,16 @@ def ranking(d: Diagnosis) -> Table:
     if has_several(d):
         rows.append((" + ".join(d.handed_back), "together", "", None, d.gap.after, _closed(d.gap)))
     ranked = by_closed_fraction(d.ranking)
-    best = {r.effect: r for r in reversed(ranked)}
+    reported = {(p.effect, p.form) for p in d.parts if p.effect in d.effects}
     for r in ranked:
         tied = " (tied)" if r.effect in d.equivalent else ""
         parameters = "; ".join(numbers_of(d, r, " = "))
         rows.append((f"{r.effect}{tied}", r.form, parameters, r.train, r.heldout, _closed(r)))
-    bold = [True] * (len(rows) - len(ranked)) + [r.effect in d.effects and best[r.effect] is r for r in ranked]
+    bold = [True] * (len(rows) - len(ranked)) + [(r.effect, r.form) in reported for r in ranked]
     header = ("effect", "form", "parameters", "fitted, error %", "held out, error %", "closed (95 % interval)")
     note = (
         "Each effect alone, in its best form; the largest closed fraction first. Errors in % of a recording's range. "
-        "Bold: reported."
+        "Bold: reported, in this form."
     )
     return Table(header, rows, note, bold, (0, 1, 2))
 
