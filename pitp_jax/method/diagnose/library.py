@@ -24,13 +24,13 @@ from ..model.model import Model, linear_model
 FREE = "term"  # a force without a name
 # faults of the records: they are removed from them and are not parts of a model
 SHIFT = EffectSpec(
-    "clock_shift", "early output", (Parameter("time", "s", off=0.0, linear=False),),
+    "clock_shift", "early output", (Parameter("time", "s", off=0.0),),
     "The output column is early beside the input column.", "y(t) = x(t + T), T = time", "record", "IN",
     law=lambda p, u, z: u,
 )  # fmt: skip
 LAGGED = EffectSpec(
     "clock_shift", "lagging input",
-    (Parameter("tau", "s", off=0.0, linear=False), Parameter("time", "s", positive=False, off=0.0, linear=False)),
+    (Parameter("tau", "s", off=0.0), Parameter("time", "s", positive=False, off=0.0)),
     "The input column is the voltage behind a low pass of its own channel, and may be early or late.",
     "V(t) = (u + tau u')(t + T), T = time", "record", "IN",
     law=lambda p, u, z: u,
@@ -223,6 +223,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     if s.session > 1.5 * s.duration:
         yield "stiffness_drift: settling", (0.1, 0.3 * s.session), (-0.1, 0.3 * s.session)
     yield "sensor_lag: one lag", (0.2 * tau,), (tau,)
+    yield "sensor_lag: second order", (0.1 * tau, 0.7), (0.5 * tau, 0.7)
     yield "sensor_nonlinearity: quadratic and cubic", *((c2 / x, c3 / x**2) for c2, c3 in curve)
     yield "sensor_nonlinearity: saturating", (0.5 / x,)
     yield "sensor_nonlinearity: folded", (0.0,)
@@ -242,8 +243,8 @@ _ONES: dict[str, Any] = dict.fromkeys(Scale.__dataclass_fields__, 1.0)
 _UNIT = Scale(**_ONES | {"session": 9.0, "rates": (1.0, 1.0)})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
-# the rows that a hypothesis may hold, in the order in which they act: those with a start, and parts of linear models
-ROWS = tuple(r for r in (*CATALOGUE, TERM, *FAULTS) if r in _STARTED | _BESIDE or r.linear)
+# the rows that a hypothesis may hold, in the order in which they act: those with a start
+ROWS = tuple(r for r in (*CATALOGUE, TERM, *FAULTS) if r in _STARTED | _BESIDE)
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))

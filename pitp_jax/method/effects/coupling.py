@@ -8,7 +8,7 @@ from collections.abc import Callable
 
 import jax.numpy as jnp
 
-from .spec import EffectSpec, nonlinear, signed
+from .spec import EffectSpec, signed, strength
 
 
 def _stretched(form: str, title: str, equation: str, factor: Callable) -> EffectSpec:
@@ -28,7 +28,7 @@ def _saturating(form: str, title: str, equation: str, n: int, root: Callable) ->
         return jnp.where(remains > 0, force / root(jnp.where(remains > 0, remains, 1.0)), jnp.sign(force) * jnp.inf)
 
     return EffectSpec(
-        "dielectric_saturation", form, (nonlinear("inverse", "1/V^2", force=-1),), title,
+        "dielectric_saturation", form, (strength("inverse", "1/V^2", force=-1),), title,
         f"{equation}, inverse = 1 / F_s", "coupling", "SQ",
         law=lambda p, force, x: force / root(1 + (p.inverse * jnp.abs(force)) ** n), inverse=unsaturated,
     )  # fmt: skip

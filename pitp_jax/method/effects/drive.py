@@ -19,11 +19,11 @@ import jax.numpy as jnp
 
 from ..model.drive import slope
 from .kernels import DELAY, PRESENT, dahl_of_integral, lag, lag_each_way, lead, play, slew
-from .spec import EffectSpec, Parameter, nonlinear, signed, strength
+from .spec import EffectSpec, Parameter, signed, strength
 
 _drive = partial(EffectSpec, family="drive", port="IN")  # from the commanded voltage to the film's
 
-TAU = nonlinear("tau", "s")
+TAU = strength("tau", "s")
 # a memory of the input faster than the plant is a filter of it, not a charge
 _STORE = Parameter("tau", "s", slow=True)
 
@@ -67,7 +67,7 @@ DRIVE = (
     ),
     _drive(
         "bleeder", "one lag each way",
-        (nonlinear("up", "s"), Parameter("down", "s")),
+        (strength("up", "s"), Parameter("down", "s")),
         "The electrodes discharge faster or slower than they charge.",
         "tau V' = u - V, tau = up where |u| > |V|, else down", kernel=lag_each_way(),
         law=lambda p, u, z: jnp.where(p.up > 0, z[0], u),
@@ -82,19 +82,19 @@ DRIVE = (
         passes=lambda p, v, dt: _led_force(p, v, dt) >= 0, twin="sensor_lag", only_given=True,
     ),
     _drive(
-        "slew_limit", "rate limit", (nonlinear("inverse", "s/V"),),
+        "slew_limit", "rate limit", (strength("inverse", "s/V"),),
         "The amplifier cannot change its voltage faster than a limit.",
         "V follows u with |V'| <= s, inverse = 1 / s", kernel=slew(),
         law=lambda p, u, z: jnp.where(p.inverse > 0, z[0], u), inverse=lambda p, v, dt: v,
         passes=lambda p, v, dt: jnp.abs(slope(v, dt)) * p.inverse <= 1.0,
     ),
     _drive(
-        "voltage_clip", "hard", (nonlinear("inverse", "1/V"),),
+        "voltage_clip", "hard", (strength("inverse", "1/V"),),
         "The amplifier does not go above a voltage.", "V = min(max(u, -u_max), u_max), inverse = 1 / u_max",
         law=lambda p, u, z: jnp.clip(u, -1 / jnp.maximum(p.inverse, 1e-30), 1 / jnp.maximum(p.inverse, 1e-30)),
     ),
     _drive(
-        "dead_zone", "symmetric", (nonlinear("threshold", "V"),),
+        "dead_zone", "symmetric", (strength("threshold", "V"),),
         "Below a threshold the voltage has no effect; above it, only the excess acts.",
         "V = 0 for |u| < u_0, else u - u_0 sgn(u), u_0 = threshold",
         law=lambda p, u, z: u - jnp.clip(u, -p.threshold, p.threshold),
@@ -106,8 +106,8 @@ DRIVE = (
         law=lambda p, u, z: u + p.offset,
     ),
     _drive(
-        "delay", "pure", (nonlinear("time", "s"),), "The voltage acts after a delay T.",
-        "V(t) = u(t - T), T = time", kernel=DELAY, linear=True, moves="delay", twin="sensor_lag",
+        "delay", "pure", (strength("time", "s"),), "The voltage acts after a delay T.",
+        "V(t) = u(t - T), T = time", kernel=DELAY, moves="delay", twin="sensor_lag",
         commutes=True, law=lambda p, u, z: u,
         # up to a period of the resonance, as behind a bus or a filter
     ),

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 
 from .effect import Instant
 from .kernels import oscillator
-from .spec import EffectSpec, Parameter, nonlinear, signed, strength
+from .spec import EffectSpec, Parameter, signed, strength
 
 
 def _hung(p, now: Instant):
@@ -62,13 +62,13 @@ def _saturated(p, now: Instant):
 
 LIMITS = (
     EffectSpec(
-        "force_limit", "inside the loop", (nonlinear("inverse", "1/V^2", force=-1),),
+        "force_limit", "inside the loop", (strength("inverse", "1/V^2", force=-1),),
         "The drive of a position controller cannot exceed a force.",
         "a_2 x'' = min(max(k (u - x) - a_1 x', -f), f), inverse = 1 / f", "drive", "M", resolved=True, needs_mass=True,
         law=_saturated,
     ),
     EffectSpec(
-        "slack", "free fall", (nonlinear("inverse", "s^2/x", acceleration=-1),),
+        "slack", "free fall", (strength("inverse", "s^2/x", acceleration=-1),),
         "The actuator can only pull the load; otherwise the load falls freely.",
         "x'' >= -g, inverse = 1 / g", "stiffness", "M", resolved=True, needs_mass=True, law=_free_fall,
     ),

@@ -14,7 +14,7 @@ from ..model.drive import slope
 from .drive import TAU, last_lag
 from .inertia import MODE
 from .kernels import coasting, lag, lead, oscillator, play
-from .spec import EffectSpec, Parameter, nonlinear, signed, strength
+from .spec import EffectSpec, Parameter, signed, strength
 
 
 def _within_play(p, x, z):
@@ -24,7 +24,7 @@ def _within_play(p, x, z):
 
 _sensor = partial(EffectSpec, family="sensor", port="OUT")  # from the displacement to its reading
 
-_WIDTH = nonlinear("width", "x", length=1)
+_WIDTH = strength("width", "x", length=1)
 
 
 def _second_order(p, y, dt):
@@ -68,7 +68,7 @@ SENSOR = (
     ),
     # without a unique inverse: of two displacements with the same reading, the one that is not folded
     _sensor(
-        "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6, linear=False),),
+        "sensor_nonlinearity", "folded", (Parameter("fold", "x", length=1, positive=False, off=-1e6),),
         "The sensor does not show the direction: beyond a position its reading decreases again.",
         "y = fold + |x - fold|",
         law=lambda p, x, z: x + 2 * jnp.maximum(p.fold - x, 0.0), inverse=lambda p, y, dt: y,
@@ -87,13 +87,13 @@ SENSOR = (
     ),
     _sensor(
         "sensor_lag", "one lag", (TAU,), "The sensor responds with a lag.", "tau y' = x - y",
-        kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), linear=True, twin="delay",
+        kernel=lag(), law=last_lag, inverse=lambda p, y, dt: lead(y, dt, p.tau), twin="delay",
     ),
     _sensor(
         "sensor_lag", "second order", (TAU, Parameter("zeta")),
         "The sensor is a low-pass filter, or has a soft mount.",
         "tau^2 y'' + 2 zeta tau y' + y = x",
-        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, linear=True, twin="delay",
+        kernel=oscillator(lambda p: 1 / jnp.maximum(p.tau, 1e-6)), inverse=_second_order, twin="delay",
         # at tau = 0 the oscillator is at its bound, and would replace x
         law=lambda p, x, z: jnp.where(p.tau > 0, z[0], x),
     ),

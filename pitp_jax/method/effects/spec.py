@@ -31,7 +31,6 @@ class Parameter:
             value to physical units.
         positive: fitted by its logarithm (otherwise directly).
         off: value at which the effect vanishes; None: it has no influence when another parameter is off.
-        linear: the effect is proportional to it (used for the first parameter only).
         least, most: bounds of a fit, in the model's scaled coordinates.
         slow: a time constant that is fitted at least as long as the plant's own.
         resonance: a frequency that is fitted inside the excited band, with both its sides visible.
@@ -46,7 +45,6 @@ class Parameter:
     force: float = 0
     positive: bool = True
     off: float | None = None
-    linear: bool = True
     least: float = -np.inf
     most: float = np.inf
     slow: bool = False
@@ -55,9 +53,8 @@ class Parameter:
 
 
 # Parameters at whose value 0 the effect vanishes.
-strength = partial(Parameter, off=0.0)  # positive, and the effect is proportional to it
+strength = partial(Parameter, off=0.0)  # positive
 signed = partial(Parameter, positive=False, off=0.0)  # of either sign
-nonlinear = partial(Parameter, off=0.0, linear=False)  # positive, and the effect is not proportional to it
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +80,6 @@ class EffectSpec:
         driven: its force depends on the film's force, so an inverse must solve for that.
         resolved: friction and slack, whose force follows within a step after all other forces.
         only_given: fitted if the nominal model has it; the search does not add it (docs/decisions/verdict.md).
-        linear: a part of a linear model (a delay or filter of input or reading).
         stiffens: its first parameter is an additional stiffness, in units of the nominal's.
         moves: the parameter of a linear model that it changes: "mass", "gain" or "delay".
         twin: the effect that a linear plant, or one sensor, cannot separate from it for any input.
@@ -113,7 +109,6 @@ class EffectSpec:
     driven: bool = False
     resolved: bool = False
     only_given: bool = False
-    linear: bool = False
     stiffens: bool = False
     moves: str = ""
     twin: str = ""

@@ -17,7 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .kernels import FARTHEST
-from .spec import EffectSpec, Parameter, nonlinear, signed, strength
+from .spec import EffectSpec, Parameter, signed, strength
 
 _spring = partial(EffectSpec, family="stiffness", port="K")  # a force beside the linear spring
 
@@ -92,7 +92,7 @@ def _pushed(p, now, depth, sign):
 
 _STOP = (strength("kappa"), Parameter("place", "x", length=1, positive=False))
 _STOPS = (*_STOP, Parameter("opposite", "x", length=1, positive=False))
-_CURVATURE = (nonlinear("curvature", "1/x", length=-1),)
+_CURVATURE = (strength("curvature", "1/x", length=-1),)
 
 SPRINGS = (
     _spring(
@@ -119,7 +119,7 @@ SPRINGS = (
         law=_saturating,
     ),
     _spring(
-        "softening", "exponential", (nonlinear("b", "1/x", length=-1),),
+        "softening", "exponential", (strength("b", "1/x", length=-1),),
         "The spring gets softer in one direction and harder in the other.",
         "f = k ((1 - exp(-b x)) / b - x)",
         law=_exponential,
