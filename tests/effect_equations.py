@@ -278,6 +278,10 @@ EQUATIONS = {
         ((0.3, 50.0, 0.05),), {2: 4e-3}, **_mode(), sensor=lambda x, s, p: x + p.gain * (s[0] - x)
     ),
     "drag: quadratic": Equation(((0.4,),), {2: 2e-2, 3: 5e-4}, force=lambda x, v, s, p, a, t: p.c * v * abs(v)),
+    "drag: three powers": Equation(
+        ((0.2, 0.1, 0.1),), {2: 2e-2, 3: 5e-4},
+        force=lambda x, v, s, p, a, t: v * (p.low * abs(v) ** 0.5 + p.c * abs(v) + p.high * v**2),
+    ),
     "coulomb_friction: Coulomb": Equation(((0.08,),), {2: 5e-2}, friction=lambda x, v, last, p, a: p.level),
     "coulomb_friction: loaded by the spring": Equation(
         ((0.04, 0.15),), {2: 5e-2}, friction=lambda x, v, last, p, a: p.level + p.mu * abs(a[0] * x)

@@ -26,6 +26,7 @@ NUMBERS = {
     "added_mass: share": (0.15,),
     "second_mode: hung on": (0.2, 18.85, 0.04),
     "drag: quadratic": (0.3347,),
+    "drag: three powers": (0.1, 0.1, 0.1),
     "coulomb_friction: Coulomb": (0.03997,),
     "coulomb_friction: loaded by the spring": (0.03997, 0.05),
     "coulomb_friction: loaded by spring and mass": (0.03997, 0.05),

@@ -136,6 +136,7 @@ NUMBERS = {
     "hysteresis: Dahl": (0.4, 0.2), "hysteresis: Bouc-Wen, either sign": (0.4, 0.2, -0.5),
     "hysteresis: Dahl at four widths": (0.4, 0.2, 0.5, 2.0),
     "stiffness_drift: settling": (0.1, 2.0), "second_mode: hung on": (0.2, 55.0, 0.05), "drag: quadratic": (2.0,),
+    "drag: three powers": (0.7, 0.7, 0.7),
     "coulomb_friction: Coulomb": (0.05,), "coulomb_friction: loaded by the spring": (0.05, 0.1),
     "coulomb_friction: loaded by spring and mass": (0.05, 0.1),
     "coulomb_friction: smooth": (0.05, 0.016), "coulomb_friction: Stribeck": (0.05, 0.5, 0.16),

@@ -201,6 +201,7 @@ def _starts(s: Scale) -> Iterator[tuple]:
     yield "coulomb_friction: loaded by spring and mass", (0.02 * pull, 0.1), (0.1 * pull, 0.3)
     yield "coulomb_friction: bristles under load", (0.1, 0.03, 0.02 * x), (0.3, 0.1, 0.1 * x)
     yield "drag: quadratic", *((f * damping / s.speed,) for f in (0.3, 2.0))
+    yield "drag: three powers", *(tuple(f * damping / s.speed**n for n in (0.5, 1, 2)) for f in (0.1, 0.7))
     yield "electrode_rc: one lag", (0.2 * tau,), (tau,)
     yield "electrode_rc: far part", (0.2 * tau, 0.8), (tau, 0.8)
     yield "bleeder: one lag each way", (0.05 * tau, 0.5 * tau), (0.5 * tau, 0.05 * tau), (0.3 * tau, 2 * tau)

@@ -1,6 +1,6 @@
 """Effects that dissipate energy: drag and dry friction (port C, a force that depends on the velocity).
 
-drag              f = c x' |x'|
+drag              f = c x' |x'|, or the powers 1.5, 2 and 3 of the speed together
 coulomb_friction  f = F_c sgn(x'),  F_c tanh(x' / v_s),  with a rise r exp(-(x' / v_s)^2) at low speed (Stribeck),
                   or F_c z / g,  dz = dx - |dx| z / g  (bristles: Dahl's hysteresis with an invisible play),
                   or mu_avg |f| z / g + mu_dif f (z / g)^2,  f the transmitted force k x + a_2 x''  (gears under load)
@@ -56,6 +56,11 @@ def _loaded(p, now: Instant):
     return p.mu_avg * jnp.abs(g) * z + p.mu_dif * g * z**2
 
 
+def _powers(p, now: Instant):
+    speed = jnp.abs(now.v) + 1e-30  # not from zero: there a root has no slope
+    return now.v * (p.low * jnp.sqrt(speed) + p.c * speed + p.high * speed**2)
+
+
 _LEVEL = strength("level", "V^2", force=1)
 
 LOSSES = (
@@ -63,6 +68,14 @@ LOSSES = (
         "drag", "quadratic", (strength("c", "V^2 s^2/x^2", speed=-2, force=1),),
         "Damping grows with speed, as for a body in a fluid.", "f = c x' |x'|",
         law=lambda p, now: p.c * now.v * jnp.abs(now.v),
+    ),
+    _loss(
+        "drag", "three powers",
+        (strength("low", "V^2 s^1.5/x^1.5", speed=-1.5, force=1), strength("c", "V^2 s^2/x^2", speed=-2, force=1),
+         strength("high", "V^2 s^3/x^3", speed=-3, force=1)),
+        "Damping grows with a power of the speed between the half and the square.",
+        "f = x' (low |x'|^(1/2) + c |x'| + high x'^2)",
+        law=_powers,
     ),
     _loss(
         "coulomb_friction", "Coulomb", (_LEVEL,), "Dry friction opposes the motion with the same force at any speed.",

@@ -40,7 +40,7 @@ class Parameter:
     name: str
     unit: str = "1"
     length: float = 0
-    speed: int = 0
+    speed: float = 0
     acceleration: int = 0
     force: float = 0
     positive: bool = True
