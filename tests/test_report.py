@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from diagnosis_cases import budget, candidate, explained, no_gap, part, tied
+from diagnosis_cases import budget, candidate, explained, no_gap, part, tied, unknown
 from matplotlib import rcParams
 
 from pitp_jax.application.pages.diagnosis import figures
@@ -80,6 +80,11 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     assert "delay alone: closes 62 %, error 1.5 % of range" in screen
     assert "85 % of the error" in screen and "Worst recording: sine&4, 70 % of the error." in screen
     assert page.tags.count("svg") == len(figures.figures(explained)) == 5
+
+
+def test_of_too_many_names_none_is_reported_and_all_are_in_the_json(explained):
+    found = replace(unknown(explained), equivalent=("delay", "electrode_rc", "sensor_lag", "force_lag"))
+    assert "No single cause is certain" in read(found)[1] and found.as_json()["equivalent"][0] == "delay"
 
 
 def test_tables_hold_every_candidate_and_every_recording(read_tied):

@@ -147,7 +147,9 @@ def diagnose(
     errors = errors_of(search, handed.fit)
     # effects that the verdict reports have their parameters in the model; otherwise the returned model is described
     effects = decision.said
-    equivalent = decision.tied.get(effects[0], ()) if effects else ()
+    # of too many names none is reported, and all are listed
+    many = (n for label, others in decision.tied.items() for n in (label, *others))
+    equivalent = decision.tied.get(effects[0], ()) if effects else tuple(many)
     experiment = None
     if decision.verdict != "no_gap":
         experiment = attempt("the next experiment", lambda: _experiment(search, decision, limit), None)

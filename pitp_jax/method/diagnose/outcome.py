@@ -24,7 +24,7 @@ class Diagnosis:
             sensor) or "unknown" (no effect is certain).
         effects: reported effects (parts beyond a linear equation, such as friction or a delay), most important first;
             empty unless explained or partly.
-        equivalent: effects that these data do not separate from effects[0].
+        equivalent: effects that these data do not separate from effects[0]; if there are too many, with it.
         added: effects of the augmented model beyond the nominal, with form and parameters.
         gap: errors of the nominal and of the returned model, % of range, and the fraction closed.
         budget: fractions of the nominal's error energy by cause: parameters, effects, explainable, not explainable.

@@ -47,7 +47,7 @@ class Decision:
         verdict: as above.
         chosen: the last set that improves the fit significantly; otherwise the base.
         said: reported effects, most important first; empty unless explained or partly.
-        tied: per reported effect, the effects that the records do not separate from it.
+        tied: per reported effect, or of one with too many, the effects that the records do not separate from it.
         probabilities: per effect with at least the fraction LISTED of the closed error, P that it is needed.
         fractions: per effect of the set, fraction of the closed error.
         bar: the reference added to the base; above: added to the chosen set.
@@ -162,7 +162,8 @@ def decide(search: Search, own: float, noise: float, distinct: int, usual: float
         others |= dict.fromkeys(t for n in (label, *others) for t in _hidden_twins(search, chosen, name, n))
         if len(others) >= rules.TIED:
             reason = f"These recordings do not separate {label} from {', '.join(others)}."
-            return answer("unknown", reason=reason, rivals=(label, next(iter(others))), **seen)
+            tied = {label: tuple(others)}
+            return answer("unknown", tied=tied, reason=reason, rivals=(label, next(iter(others))), **seen)
         said.append(label)
         tied[label] = tuple(others)
     if not said:

@@ -47,7 +47,7 @@ def _which(d: Diagnosis) -> Card:
         f"{r.effect} alone: closes {fraction_closed(r.closed_fraction)}, error {of_range(r.heldout)} of range"
         for r in by_closed_fraction(scored)[:3]
     ]
-    if d.equivalent:
+    if d.effects and d.equivalent:
         nearest.insert(0, f"These recordings do not separate {d.effects[0]} from {named(d.equivalent)}.")
     return Card("Which", named(d.effects) if d.effects else "No single cause is certain", nearest)
 
