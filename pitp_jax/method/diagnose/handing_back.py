@@ -12,15 +12,16 @@ from functools import cache
 
 import numpy as np
 
+from ...common.metrics import rms
 from ..fit.sensor_offset import with_offset
 from ..model.expected_error import error_table
 from ..model.fitted import Fitted, fitted_of
 from ..model.model import Model
-from ..signal.initial_state import noise_std
+from ..signal.initial_state import noise_of
 from ..signal.record import Record
 from ..simulate.decoder import rest_state
 from ..simulate.model_runs import model_runs
-from ..simulate.prediction import predict
+from ..simulate.prediction import predicted_pairs
 from ..simulate.voltage_only import rollout
 from . import rules
 from .data import Case, build_case
@@ -164,8 +165,8 @@ def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Reco
     Standard errors of coefficients that have changed, and other statements on the nominal, are left out.
     """
     errors = [residual(t.augmented, t) for t in traces]
-    noise = float(np.median([noise_std(r.displacement) for r in records]))
-    rms = np.sqrt([np.nanmean(e**2) for e in errors])
+    noise = float(np.median(noise_of(records)))
+    left = np.sqrt([np.nanmean(e**2) for e in errors])
     fitted = fitted_of(made)
     return Fitted(
         fitted.model,
@@ -173,9 +174,9 @@ def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Reco
             fitted.origin,
             covariance=np.zeros((0, 0)),
             stderr=(),
-            misfit=max(float(np.sqrt(np.mean(rms**2))) / noise, 1.0) if noise else float("inf"),
+            misfit=max(rms(left) / noise, 1.0) if noise else float("inf"),
             noise=noise,
-            level=100 * float(np.sqrt(np.mean((rms / [r.span for r in records]) ** 2))),
+            level=100 * rms(left / [r.span for r in records]),
             out_of_fold=None,
             remarks=(),
             errors=error_table([t.augmented for t in traces], errors, records[0].dt),
@@ -186,7 +187,7 @@ def with_own_errors(made: Model, traces: Sequence[Trace], records: Sequence[Reco
 def package_errors(model: Model, records: Sequence[Record]) -> np.ndarray:
     """Return the free-run error of every record (rms, offset removed, base unit); infinite if it diverges."""
     errors = []
-    for p, r in zip(predict(model, records), records, strict=True):
+    for r, p in predicted_pairs(model, records):
         e = (p.displacement - r.displacement)[p.scored & np.isfinite(r.displacement)]
         errors.append(np.inf if p.diverged or not np.isfinite(e).all() else float(np.std(e)))
     return np.array(errors)

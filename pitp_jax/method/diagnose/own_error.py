@@ -15,7 +15,7 @@ import numpy as np
 
 from ..model.fitted import fitted_of
 from ..model.model import Model
-from ..signal.initial_state import noise_std
+from ..signal.initial_state import noise_of
 from ..signal.record import Record
 from .traces import Trace, traces_of
 
@@ -59,7 +59,7 @@ class OwnError:
 def own_error(model: Model, records: Sequence[Record]) -> OwnError:
     """Simulate the nominal beside whole recordings, and look up its own error."""
     lacking, source = own_misfit(model, records)
-    own = np.sqrt(lacking**2 + np.maximum(_noises(records), 1e-300) ** 2)
+    own = np.sqrt(lacking**2 + np.maximum(noise_of(records), 1e-300) ** 2)
     return OwnError(traces_of(model, model, records), own, source)
 
 
@@ -79,7 +79,7 @@ def own_misfit(model: Model, records: Sequence[Record]) -> tuple[float, str]:
     M does not grow with the noise of other records: a simulator without noise has a misfit of thousands, and its
     product with the robot's noise would hide any gap.
     """
-    origin, noises = fitted_of(model).origin, _noises(records)
+    origin, noises = fitted_of(model).origin, noise_of(records)
     source = "its error on the recordings it was made from"
     if np.isfinite(origin.misfit):
         noise = origin.noise if origin.noise > 0 else geometric_mean(noises)
@@ -88,11 +88,6 @@ def own_misfit(model: Model, records: Sequence[Record]) -> tuple[float, str]:
         rms = origin.level / 100 * geometric_mean(np.array([r.span for r in records]))
         return float(np.sqrt(max(rms**2 - geometric_mean(noises) ** 2, 0.0))), source
     return 0.0, "the sensor's noise, because the model file holds no error of its own"
-
-
-def _noises(records: Sequence[Record]) -> np.ndarray:
-    """Return the sensor's white noise of every recording, rms in the base unit, shape (records,)."""
-    return np.array([noise_std(r.displacement) for r in records])
 
 
 def geometric_mean(values: np.ndarray) -> float:

@@ -14,7 +14,7 @@ unknown    otherwise: a flexible model is better by 1 - FIRST with P >= SURE, an
 A wrong effect reported with confidence costs a laboratory a week; `unknown` costs an hour.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -68,7 +68,7 @@ class Decision:
     above: Evidence
     more: float
     reason: str = ""
-    rivals: tuple[str, ...] = field(default=())
+    rivals: tuple[str, ...] = ()
     alone: Evidence | None = None
     unchanged: Evidence | None = None
 
