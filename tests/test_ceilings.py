@@ -16,9 +16,9 @@ PACKAGE = Path(pitp_jax.__file__).parent
 CEILINGS = {
     "common": 5831, "method/numerics": 9807, "method/signal": 13244, "method/model": 12500, "method/effects": 11494,
     "method/simulate": 18938, "method/fit": 7481, "method/identify": 25565, "method/train": 15378,
-    "method/invert": 18970, "method/diagnose": 51419, "method/adapt": 4675, "files/containers": 32126,
+    "method/invert": 18970, "method/diagnose": 51335, "method/adapt": 4675, "files/containers": 32126,
     "files/recordings": 12690, "files/model_file": 5554, "files/export": 11367, "files/mjcf": 8820,
-    "application/commands": 18262, "application/pages": 10648, "application/compare": 10522, "application/plan": 9206,
+    "application/commands": 18262, "application/pages": 10657, "application/compare": 10522, "application/plan": 9206,
     "application/check": 7780, "application/against": 3386, "application/demo": 3985, "application/plant": 2431,
 }  # fmt: skip
 LAYOUT = {getattr(tokenize, name) for name in ("COMMENT", "NL", "NEWLINE", "INDENT", "DEDENT", "ENCODING", "ENDMARKER")}

@@ -224,7 +224,6 @@ def _starts(s: Scale) -> Iterator[tuple]:
     if s.session > 1.5 * s.duration:
         yield "stiffness_drift: settling", (0.1, 0.3 * s.session), (-0.1, 0.3 * s.session)
     yield "sensor_lag: one lag", (0.2 * tau,), (tau,)
-    yield "sensor_lag: second order", (0.1 * tau, 0.7), (0.5 * tau, 0.7)
     yield "sensor_nonlinearity: quadratic and cubic", *((c2 / x, c3 / x**2) for c2, c3 in curve)
     yield "sensor_nonlinearity: saturating", (0.5 / x,)
     yield "sensor_nonlinearity: folded", (0.0,)
@@ -244,8 +243,8 @@ _ONES: dict[str, Any] = dict.fromkeys(Scale.__dataclass_fields__, 1.0)
 _UNIT = Scale(**_ONES | {"session": 9.0, "rates": (1.0, 1.0)})
 _STARTED = {_BY_KEY[key] for key, *_ in _starts(_UNIT)}
 _BESIDE = {lookup(*spec.second) for spec in _STARTED if spec.second}
-# the rows that a hypothesis may hold, in the order in which they act: those with a start
-ROWS = tuple(r for r in (*CATALOGUE, TERM, *FAULTS) if r in _STARTED | _BESIDE)
+# the rows that a hypothesis may hold, in the order in which they act: those with a start, and a part of linear models
+ROWS = tuple(r for r in (*CATALOGUE, TERM, *FAULTS) if r in _STARTED | _BESIDE or r.key == "sensor_lag: second order")
 CORE = ("a0", "a1", "a2")
 _NUMBERS = tuple(p for spec in ROWS for p in spec.parameters)
 NAMES = (*CORE, *(name for spec in ROWS for name in slots_of_row(spec)))

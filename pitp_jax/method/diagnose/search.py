@@ -324,21 +324,19 @@ class Search:
             self._settle([self.waiting[key]])
         return self.every.get(key)
 
-    def exchanged(self, h: Hypothesis, name: str, rows: Sequence[EffectSpec]) -> list[Hypothesis]:
-        """Return a set with each of these rows of one time instead of one effect; none if out of budget."""
-        if not self.budget.allows(f"{rows[0].name} instead of {name}"):
-            return []
-        mine = list(dict.fromkeys(k for form in self.library if form.name == name for k in form.start))
-        late = sum(h.fit.value(k) - self.case.nominal[INDEX[k]] for k in mine if k in LATE)
-        fits = []
-        for row in rows:
-            slots, (new,) = h.fit.slots.copy(), slots_of_row(row)
-            slots[[INDEX[k] for k in mine]] = self.case.nominal[[INDEX[k] for k in mine]]
-            slots[INDEX[new]] = max(late, 0.01 * self.case.dt)
-            names = tuple(row.name if n == name else n for n in h.names)
-            free = (*(k for k in h.fit.free if k not in mine), new)
-            fits.append(h.fit.anew(names=names, free=free, slots=slots, residuals=[]))
-        return self._scored(fits) if all(np.isfinite(f.cost) for f in self.fitter.fit(fits, STEPS)) else []
+    def exchanged(self, h: Hypothesis, name: str, row: EffectSpec) -> Hypothesis | None:
+        """Return a set with another row instead of one effect, starting at the same value; None if out of budget."""
+        if not self.budget.allows(f"{row.name} instead of {name}"):
+            return None
+        mine = [k for form in self.library if form.name == name for k in form.start]
+        slots, free = h.fit.slots.copy(), tuple(k for k in h.fit.free if k not in mine)
+        ((old,), (new,)) = mine[:1], slots_of_row(row)
+        slots[INDEX[new]] = max(slots[INDEX[old]] - self.case.nominal[INDEX[old]], 0.01 * self.case.dt)
+        slots[INDEX[old]] = self.case.nominal[INDEX[old]]
+        names = tuple(row.name if n == name else n for n in h.names)
+        one = h.fit.anew(names=names, free=(*free, new), slots=slots, residuals=[])
+        fits = [f for f in self.fitter.fit([one], STEPS) if np.isfinite(f.cost)]
+        return next(iter(self._scored(fits)), None)
 
     def _settle(self, fits: Sequence[Fit]) -> None:
         for h in self._scored(fits):

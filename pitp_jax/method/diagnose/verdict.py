@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 
 from ...common.numbers import number
-from ..effects import lookup
 from . import rules
 from .evidence import Evidence, probability
 from .library import CHANGED, COMMUTING, FREE, HIDDEN, LONE, MONITOR, SHIFT, TWINS, names_of
@@ -244,15 +243,13 @@ def _beats_twin(search: Search, chosen: Hypothesis, name: str, twin: str) -> boo
 def _hidden_twins(search: Search, chosen: Hypothesis, name: str, label: str) -> tuple[str, ...]:
     """Return the twin of `label` that the search does not add, such as a lag of the force, if it fits as well.
 
-    Behind the square a linear plant with a lag of its force is the same as with a lag of its sensor. If the set has
-    such a lag, both are compared in the form that the twin has: one time of the force lost to two of the sensor.
+    Behind the square a linear plant with a lag of its force is the same as with a lag of its sensor.
     """
     row = HIDDEN.get(label)
     if row is None or (row.squares and not search.case.simulator.square):
         return ()
-    rows = [row, lookup(label, row.form)] if label == name else [row]
-    pair = [*search.exchanged(chosen, name, rows), chosen][:2]
-    beaten = len(pair) == 2 and probability(pair[1].evidence, pair[0].evidence, rules.FURTHER) >= rules.SURE
+    other = search.exchanged(chosen, name, row)
+    beaten = other is not None and probability(chosen.evidence, other.evidence, rules.FURTHER) >= rules.SURE
     return () if beaten else (row.name,)
 
 

@@ -67,7 +67,8 @@ def budget_table(budget: dict) -> Table:
     """Return the table of the gap's energy by cause."""
     rows = []
     for name, part in causes(budget):
-        rows.append((name, percent(part["share"]), interval(*part["ci95"]), part.get("probability")))
+        ends = interval(*part["ci95"]) if "ci95" in part else ""  # beside a simulator without one
+        rows.append((name, percent(part["share"]), ends, part.get("probability")))
     header = ("part", "of the gap's energy", "95 % interval", "P")
     return Table(header, rows, "The largest part first.")
 
