@@ -11,7 +11,7 @@ from diagnosis_cases import budget, candidate, explained, no_gap, part, tied, un
 from matplotlib import rcParams
 
 from pitp_jax.application.pages.diagnosis import figures
-from pitp_jax.application.pages.diagnosis.page import ranking, report
+from pitp_jax.application.pages.diagnosis.page import budget_table, ranking, report
 from pitp_jax.common.quantity import Units
 from pitp_jax.method.diagnose import rules
 from pitp_jax.method.diagnose.parts import Parts
@@ -80,6 +80,12 @@ def test_the_first_screen_answers_which_where_and_how_far(explained):
     assert "delay alone: closes 62 %, error 1.5 % of range" in screen
     assert "85 % of the error" in screen and "Worst recording: sine&4, 70 % of the error." in screen
     assert page.tags.count("svg") == len(figures.figures(explained)) == 5
+
+
+def test_a_cause_without_an_interval_has_an_empty_cell(explained):
+    """Beside a simulator no fraction has one, and the page of `--against` ended in a KeyError."""
+    (row,) = [r for r in budget_table(explained.budget | {"nuisance": {"share": 0.2}}).rows if r[1] == "20 %"]
+    assert row[2] == ""
 
 
 def test_of_too_many_names_none_is_reported_and_all_are_in_the_json(explained):
